@@ -1,0 +1,227 @@
+"""The flat sheet: a mesh whose element legs lie on fibre lines.
+
+The fabric is a net of two families of straight fibre lines. The lines cut the blank into
+rectangular cells; every cell becomes two right triangles with both legs on fibres, the diagonals
+alternating, so the mesh has the mirror planes and quarter turns of the net. Such P1 triangles see
+the stretch of a fibre on a leg and the shear at a right corner: they neither lock nor have an
+hourglass mode (the net is isostatic, as the inextensible fabric is).
+
+Cells cut by the outline are fanned from a point of the outline, so that each of their right corners
+has a triangle. Triangles there may have one leg on a fibre only; as every node of the outline ends
+one line, the net stays isostatic and does not lock.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import shapely
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+from skfem import Basis, ElementTriP1, MeshLine, MeshTri
+
+FloatArray = np.ndarray
+IntArray = np.ndarray
+
+
+@dataclass(frozen=True)
+class Blank:
+    """A flat sheet meshed along its fibres.
+
+    Parameters
+    ----------
+    nodes : (n_nodes, 2) array
+        Flat positions X, mm.
+    triangles : (n_triangles, 3) array
+        Node numbers, counter-clockwise; they tile the blank.
+    warp, weft : (2,) arrays
+        Unit vectors of the fibres.
+    mirror : tuple of "x" and "y"
+        Planes x = 0, y = 0 of which only the positive side is meshed.
+    size : float
+        Spacing of the fibre lines asked for, mm.
+    """
+
+    nodes: FloatArray
+    triangles: IntArray
+    warp: FloatArray
+    weft: FloatArray
+    mirror: tuple[str, ...] = ()
+    size: float = 0.0
+
+    @cached_property
+    def mesh(self) -> MeshTri:
+        """The tiling as a scikit-fem mesh."""
+        return _mesh(MeshTri, self.nodes, self.triangles)
+
+    @cached_property
+    def basis(self) -> Basis:
+        """P1 basis with one quadrature point a triangle."""
+        point = np.full((2, 1), 1 / 3), np.array([0.5])
+        return Basis(self.mesh, ElementTriP1(), quadrature=point)
+
+    @cached_property
+    def areas(self) -> FloatArray:
+        """(n_triangles,) areas of the triangles, mm²."""
+        return self.basis.dx[:, 0]
+
+    @cached_property
+    def node_areas(self) -> FloatArray:
+        """(n_nodes,) tributary areas, mm²; they sum to the area of the blank."""
+        share = np.repeat(self.areas / 3.0, 3)
+        return np.bincount(self.triangles.ravel(), share, minlength=len(self.nodes))
+
+    @cached_property
+    def centroids(self) -> FloatArray:
+        """(n_triangles, 2) flat positions of the triangles' centroids, mm."""
+        return self.nodes[self.triangles].mean(1)
+
+    def fibre_lines(self, family: str) -> MeshLine:
+        """Return all segments of the lines of "warp" or "weft" as a 1D scikit-fem mesh.
+
+        The coordinate is the arc length along the fibre; node numbers are those of the blank.
+        """
+        along = self.warp if family == "warp" else self.weft
+        legs = self.mesh.facets.T
+        direction = self.nodes[legs[:, 1]] - self.nodes[legs[:, 0]]
+        direction /= np.linalg.norm(direction, axis=1)[:, None]
+        segments = legs[np.abs(direction @ along) > 1 - 1e-8]
+        s = self.nodes @ along
+        backwards = s[segments[:, 0]] > s[segments[:, 1]]
+        segments[backwards] = segments[backwards, ::-1]
+        return _mesh(MeshLine, s[:, None], segments)
+
+    def turned(self, angle: float) -> Blank:
+        """Turn the blank together with its fibres by `angle` degrees about the origin."""
+        R = rotation(angle)
+        return replace(
+            self, nodes=self.nodes @ R.T, warp=R @ self.warp, weft=R @ self.weft
+        )
+
+
+def _mesh(kind: type, nodes: FloatArray, elements: IntArray) -> MeshTri | MeshLine:
+    """Build a scikit-fem mesh with the node order kept, so that orientations survive."""
+    arrays = np.ascontiguousarray(nodes.T), np.ascontiguousarray(elements.T)
+    return kind(*arrays, sort_t=False)
+
+
+def rotation(angle: float) -> FloatArray:
+    """(2, 2) matrix of a counter-clockwise turn by `angle` degrees, exact at quarter turns."""
+    c, s = np.cos(np.radians(angle)), np.sin(np.radians(angle))
+    if angle % 90 == 0:
+        c, s = np.round(c), np.round(s)
+    return np.array([[c, -s], [s, c]])
+
+
+def rectangle(
+    length: float,
+    width: float,
+    size: float,
+    orientation: float = 0.0,
+    centre: tuple[float, float] = (0.0, 0.0),
+    through: tuple[tuple[float, float], ...] = (),
+    mirror: tuple[str, ...] = (),
+) -> Blank:
+    """Mesh a rectangle, length along x, with fibre lines through its corners.
+
+    Parameters
+    ----------
+    length, width : float
+        mm, along x and y.
+    size : float
+        Spacing of the fibre lines, mm; the nearest spacing that fits is taken.
+    orientation : float
+        Angle of the warp to x, degrees.
+    centre : (2,)
+        Centre of the rectangle, mm.
+    through : points, mm
+        Further points that shall lie on a warp and a weft line.
+    mirror : tuple of "x" and "y"
+        Mesh only the positive side of the planes x = 0, y = 0 (through the centre).
+    """
+    R = rotation(orientation)
+    x0 = -length / 2 * ("x" not in mirror)
+    y0 = -width / 2 * ("y" not in mirror)
+    box = np.array(
+        [[x0, y0], [length / 2, y0], [length / 2, width / 2], [x0, width / 2]], dtype=float
+    ) + np.asarray(centre)
+    stops = np.array([*box, *through]) @ R  # in fibre coordinates (a, b)
+    a, b = (_lines_through(stops[:, i], size) for i in (0, 1))
+    nodes, triangles = _cut_net(a, b, box @ R)
+    return Blank(nodes @ R.T, triangles, R[:, 0], R[:, 1], mirror, size)
+
+
+def _lines_through(points: FloatArray, size: float) -> FloatArray:
+    """Coordinates of fibre lines through all `points`, evenly spaced by about `size` between."""
+    stops = np.sort(points)
+    stops = stops[np.r_[True, np.diff(stops) > 1e-6 * size]]
+    pieces = [
+        np.linspace(p, q, max(1, round((q - p) / size)), endpoint=False)
+        for p, q in zip(stops[:-1], stops[1:], strict=True)
+    ]
+    return np.append(np.concatenate(pieces), stops[-1])
+
+
+def _cut_net(a: FloatArray, b: FloatArray, outline: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Cut the net of lines `a` x `b` by a polygon; nodes and triangles (fibre coordinates)."""
+    polygon = shapely.Polygon(outline)
+    tiny = 1e-7 * min(np.diff(a).min(), np.diff(b).min())
+    i, j = (k.ravel() for k in np.meshgrid(np.arange(len(a) - 1), np.arange(len(b) - 1)))
+    cells = shapely.box(a[i], b[j], a[i + 1], b[j + 1])
+    shapely.prepare(polygon)
+    whole = shapely.covers(polygon.buffer(tiny), cells)
+    # diagonals end on the nodes whose parity is that of the outline's first corner, so that an
+    # outline at 45° to the fibres is itself made of diagonals
+    parity = sum(int(np.abs(line - c).argmin()) for line, c in zip((a, b), outline[0], strict=True))
+
+    number = lambda i, j: i * len(b) + j  # noqa: E731
+    I, J = i[whole], j[whole]  # noqa: E741
+    ring = np.stack([number(I, J), number(I + 1, J), number(I + 1, J + 1), number(I, J + 1)], axis=1)
+    even = ((I + J) % 2 == parity % 2)[:, None, None]
+    first = np.where(even, ring[:, [[0, 1, 2], [2, 3, 0]]], ring[:, [[3, 0, 1], [1, 2, 3]]])
+    triangles = [first.reshape(-1, 3)]
+
+    points = [np.stack([c.ravel() for c in np.meshgrid(a, b, indexing="ij")], axis=1)]
+    next_number = len(points[0])
+    cut = cells[~whole]
+    for piece in shapely.get_parts(shapely.intersection(cut, polygon)):
+        if shapely.get_type_id(piece) != 3:
+            continue  # cell and outline share a line or a point
+        ring_points = np.asarray(shapely.orient_polygons(piece).exterior.coords)[:-1]
+        apart = np.linalg.norm(ring_points - np.roll(ring_points, 1, axis=0), axis=1)
+        ring_points = ring_points[apart > 100 * tiny]
+        if len(ring_points) < 3:
+            continue
+        triangles.append(_fan(ring_points, tiny) + next_number)
+        points.append(ring_points)
+        next_number += len(ring_points)
+    return _merge(np.vstack(points), np.vstack(triangles), tiny)
+
+
+def _fan(ring: FloatArray, tiny: float) -> IntArray:
+    """Triangles of one cell cut by the outline (indices into its ring).
+
+    The fan starts at the vertex before the first right corner, so each right corner is kept whole.
+    """
+    n = len(ring)
+    step = np.roll(ring, -1, axis=0) - ring
+    along_a, along_b = np.abs(step[:, 1]) < tiny, np.abs(step[:, 0]) < tiny
+    right = (along_a & np.roll(along_b, 1)) | (along_b & np.roll(along_a, 1))
+    starts = np.flatnonzero(right & ~np.roll(right, 1))
+    order = ((starts[0] if len(starts) else 1) - 1 + np.arange(n)) % n
+    return np.array([[order[0], order[k], order[k + 1]] for k in range(1, n - 1)])
+
+
+def _merge(points: FloatArray, triangles: IntArray, tiny: float) -> tuple[FloatArray, IntArray]:
+    """Make coincident points one node and drop points that no triangle uses."""
+    used = np.unique(triangles)
+    pairs = cKDTree(points[used]).query_pairs(100 * tiny, output_type="ndarray")
+    links = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(used), len(used)))
+    _, group = connected_components(links, directed=False)
+    _, representative, group = np.unique(group, return_index=True, return_inverse=True)
+    number = np.full(len(points), -1)
+    number[used] = group
+    return points[used][representative], number[triangles]

@@ -1,0 +1,97 @@
+"""Energy terms, one file an energy, and their sum.
+
+A term is a plain object with a fixed table of degrees of freedom and the energies, gradients and
+Hessians of its stencils::
+
+    dofs                  (n_stencils, n_local)            numbers into x, fixed for the whole run
+    energy(x)             (n_stencils,)                    mJ
+    gradient(x)           (n_stencils, n_local)            N
+    hessian(x, convex)    (n_stencils, n_local, n_local)   N/mm, symmetric
+
+x is the flat vector of node positions followed by the rigid degrees of freedom (tool heights, load
+factors). Evaluating changes nothing. A term with memory also has `refresh(x)` (lagged values,
+between Newton solves) and `commit(x)` (after a converged increment).
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from scipy.sparse import csr_array
+
+FloatArray = np.ndarray
+
+
+class Term(Protocol):
+    """One energy of the sum."""
+
+    name: str
+    dofs: np.ndarray
+
+    def energy(self, x: FloatArray) -> FloatArray: ...  # noqa: D102
+    def gradient(self, x: FloatArray) -> FloatArray: ...  # noqa: D102
+    def hessian(self, x: FloatArray, convex: bool) -> FloatArray: ...  # noqa: D102
+
+
+class Potential:
+    """The sum of the energy terms over the free degrees of freedom, with a fixed sparsity pattern.
+
+    Parameters
+    ----------
+    terms : list of Term
+    drive : (n_dofs,) array
+        Motion of the prescribed degrees of freedom per unit of travel.
+    free : (n_dofs,) bool array
+        Degrees of freedom to be solved for.
+    """
+
+    def __init__(self, terms: list[Term], drive: FloatArray, free: np.ndarray) -> None:
+        self.terms, self.drive, self.free = terms, drive, free
+        number = np.where(free, np.cumsum(free) - 1, -1)
+        n = int(free.sum())
+        keys, self._kept = [], []
+        for term in terms:
+            local = number[term.dofs]
+            rows = np.repeat(local[:, :, None], local.shape[1], axis=2).ravel()
+            columns = np.repeat(local[:, None, :], local.shape[1], axis=1).ravel()
+            kept = np.flatnonzero((rows >= 0) & (columns >= rows))  # upper triangle
+            self._kept.append(kept)
+            keys.append(rows[kept].astype(np.int64) * n + columns[kept])
+        diagonal = np.arange(n, dtype=np.int64) * (n + 1)
+        unique, inverse = np.unique(np.concatenate([*keys, diagonal]), return_inverse=True)
+        self._slots = np.split(inverse, np.cumsum([len(k) for k in keys]))[:-1]
+        indptr = np.searchsorted(unique, np.arange(n + 1, dtype=np.int64) * n)
+        self.pattern = csr_array((np.zeros(len(unique)), unique % n, indptr), shape=(n, n))
+
+    def energy(self, x: FloatArray) -> float:
+        """Total energy, mJ."""
+        return float(sum(term.energy(x).sum() for term in self.terms))
+
+    def gradient(self, x: FloatArray) -> FloatArray:
+        """(n_dofs,) derivative by all degrees of freedom, N; zero on the free ones at rest."""
+        g = np.zeros(len(x))
+        for term in self.terms:
+            g += np.bincount(term.dofs.ravel(), term.gradient(x).ravel(), minlength=len(x))
+        return g
+
+    def hessian(self, x: FloatArray, convex: bool) -> tuple[FloatArray, FloatArray]:
+        """Upper triangle of the free Hessian in the fixed pattern, and its product with `drive`.
+
+        Returns
+        -------
+        values : (nnz,) array, N/mm
+            Data for `pattern` (upper triangle, CSR).
+        load : (n_free,) array, N/mm
+            Second derivative by the free degrees of freedom and the travel.
+        """
+        values = np.zeros(self.pattern.nnz)
+        load = np.zeros(len(x))
+        for term, kept, slots in zip(self.terms, self._kept, self._slots, strict=True):
+            H = term.hessian(x, convex)
+            values += np.bincount(slots, H.reshape(-1)[kept], minlength=len(values))
+            moved = self.drive[term.dofs]
+            if moved.any():
+                push = (H @ moved[:, :, None])[:, :, 0]
+                load += np.bincount(term.dofs.ravel(), push.ravel(), minlength=len(x))
+        return values, load[self.free]

@@ -1,0 +1,189 @@
+"""Bending energy of the fibre lines: E = Σ A/2 (B11 κ11² + B22 κ22²), decoupled from the membrane.
+
+At a node with neighbours - and + on a fibre line the position has the second difference
+
+    k = [(x₊ - x)/l₊ - (x - x₋)/l₋] / h,   h = (l₋ + l₊)/2,
+
+and κ = n·k with the unit normal n = (u x v)/|u x v| of the line tangents u (warp) and v (weft).
+The derivatives are by the reference arc lengths, so κ follows the fibres at any shear, without
+rotation degrees of freedom, Poisson's effect or twist. The in-plane part of k is resisted with the
+fraction r of the stiffness: B/2 [(1 - r)(n·k)² + r |k|²]. It is an exact potential: n is a function
+of the same five nodes and is differentiated with the rest.
+
+A clamp or a mirror plane supplies the missing neighbour and counts for the half of the stencil's
+area that lies in the model: k = 2 (x₁ - x₀ - l t)/l² at a clamp with the direction t. A free end has
+no stencil: its curvature is the natural condition zero.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from skfem import Basis, ElementLineP1
+
+from ..blank import Blank
+from ..material import Fabric
+
+FloatArray = np.ndarray
+IntArray = np.ndarray
+
+
+class Bending:
+    """Bending of warp and weft lines, five nodes a stencil: (centre, warp -, +, weft -, +).
+
+    Parameters
+    ----------
+    blank : Blank
+    fabric : Fabric
+    clamps : dict of node number to direction (3,), optional
+        Nodes at which fibre lines are clamped, and the unit direction that the line keeps there
+        (pointing into the blank).
+    """
+
+    name = "bending"
+
+    def __init__(
+        self, blank: Blank, fabric: Fabric, clamps: dict[int, FloatArray] | None = None
+    ) -> None:
+        n = len(blank.nodes)
+        rows = np.zeros((n, 4, 5, 3))  # k_warp, k_weft, u, v as combinations of the five nodes
+        constant = np.zeros((n, 4, 3))
+        nodes = np.repeat(np.arange(n)[:, None], 5, axis=1)
+        half_lengths = np.zeros((n, 2))
+        for f, family in enumerate(("warp", "weft")):
+            left, right, grad = _neighbours(blank, family)
+            nodes[:, 1 + 2 * f] = np.where(left >= 0, left, np.arange(n))
+            nodes[:, 2 + 2 * f] = np.where(right >= 0, right, np.arange(n))
+            slopes = np.zeros((2, n, 5, 3))  # of the segments before and after the node
+            slopes[0, :, 1 + 2 * f] = -grad[0][:, None]
+            slopes[0, :, 0] = grad[0][:, None]
+            slopes[1, :, 0] = -grad[1][:, None]
+            slopes[1, :, 2 + 2 * f] = grad[1][:, None]
+            fixed = np.zeros((2, n, 3))
+            present = np.stack([left >= 0, right >= 0])
+            length = np.where(present, 1.0 / np.where(present, grad, 1.0), 0.0)
+            half_lengths[:, f] = 0.5 * length.sum(0)
+            along = np.append(blank.warp if family == "warp" else blank.weft, 0.0)
+            known = present.copy()
+            for axis, plane in enumerate("xy"):
+                if plane not in blank.mirror or abs(along[axis]) < 1 - 1e-8:
+                    continue
+                on_plane = np.abs(blank.nodes[:, axis]) < 1e-9
+                mirror = np.array([-1.0, -1.0, -1.0])
+                mirror[axis] = 1.0  # slope of the mirrored segment, walked in the same direction
+                for side in (0, 1):
+                    at = on_plane & present[1 - side] & ~present[side]
+                    slopes[side, at] = slopes[1 - side, at] * mirror
+                    length[side, at] = length[1 - side, at]
+                    known[side, at] = True
+            for node, direction in (clamps or {}).items():
+                for side in (0, 1):
+                    if known[1 - side, node] and not known[side, node]:
+                        sign = 1.0 if side == 0 else -1.0
+                        slopes[side, node] = 0.0
+                        fixed[side, node] = sign * np.asarray(direction)
+                        # the half stencil: slopes half a segment apart
+                        length[side, node] = 0.0
+                        known[side, node] = True
+            both = known.all(0)
+            h = np.where(both, 0.5 * length.sum(0), 1.0)
+            rows[both, f] = ((slopes[1] - slopes[0]) / h[:, None, None])[both]
+            constant[both, f] = ((fixed[1] - fixed[0]) / h[:, None])[both]
+            count = np.maximum(known.sum(0), 1)
+            rows[:, 2 + f] = (slopes * known[:, :, None, None]).sum(0) / count[:, None, None]
+            constant[:, 2 + f] = fixed.sum(0) / count[:, None]
+        bent = (np.abs(rows[:, :2]).sum((1, 2, 3)) > 0) & half_lengths.all(1)
+        rows, nodes = rows[bent], nodes[bent]
+        self.constant = constant[bent]
+        self.operator = (rows[:, :, None] * np.eye(3)[None, None, :, None, :]).reshape(
+            len(rows), 12, 15
+        )
+        self.dofs = (3 * nodes[:, :, None] + np.arange(3)).reshape(len(nodes), 15)
+        area = half_lengths[bent].prod(1)
+        self.stiffness = area[:, None] * [fabric.bending_warp, fabric.bending_weft]
+        self.in_plane = fabric.in_plane_bending
+
+    def curvature(self, x: FloatArray) -> FloatArray:
+        """(n_stencils, 2) curvatures κ11 of the warp and κ22 of the weft, 1/mm."""
+        k, _, _, n, _ = self._frame(x)
+        return np.einsum("sfc,sc->sf", k, n)
+
+    def _frame(self, x: FloatArray) -> tuple[FloatArray, ...]:
+        y = (self.operator @ x[self.dofs][:, :, None])[:, :, 0].reshape(-1, 4, 3) + self.constant
+        k, u, v = y[:, :2], y[:, 2], y[:, 3]
+        m = np.cross(u, v)
+        length = np.linalg.norm(m, axis=1)
+        return k, u, v, m / length[:, None], length
+
+    def energy(self, x: FloatArray) -> FloatArray:
+        """Energy of each stencil, mJ."""
+        k, _, _, n, _ = self._frame(x)
+        kappa = np.einsum("sfc,sc->sf", k, n)
+        r = self.in_plane
+        return 0.5 * (self.stiffness * ((1 - r) * kappa**2 + r * (k**2).sum(-1))).sum(1)
+
+    def _first_derivative(self, x: FloatArray) -> tuple[FloatArray, ...]:
+        """κ, its gradient by (k_warp, k_weft, u, v) and what the second derivative needs."""
+        k, u, v, n, length = self._frame(x)
+        kappa = np.einsum("sfc,sc->sf", k, n)
+        q = (k - kappa[..., None] * n[:, None]) / length[:, None, None]  # derivative by u x v
+        d = np.zeros((len(k), 2, 4, 3))
+        d[:, 0, 0] = d[:, 1, 1] = n
+        d[:, :, 2] = np.cross(v[:, None], q)
+        d[:, :, 3] = np.cross(q, u[:, None])
+        return k, u, v, n, length, kappa, q, d
+
+    def gradient(self, x: FloatArray) -> FloatArray:
+        """Nodal forces of each stencil, N."""
+        k, *_, kappa, _, d = self._first_derivative(x)
+        r = self.in_plane
+        force = np.einsum("sf,sfrc->src", (1 - r) * self.stiffness * kappa, d)
+        force[:, :2] += r * self.stiffness[..., None] * k
+        return (force.reshape(-1, 1, 12) @ self.operator)[:, 0]
+
+    def hessian(self, x: FloatArray, convex: bool) -> FloatArray:
+        """Stiffness of each stencil, N/mm; with `convex` the part with κ's second derivative left
+        out (Gauss-Newton), which is positive semi-definite."""
+        _, u, v, n, length, kappa, q, d = self._first_derivative(x)
+        r, count = self.in_plane, len(u)
+        weight = (1 - r) * self.stiffness
+        flat = d.reshape(count, 2, 12)
+        H = flat.transpose(0, 2, 1) @ (weight[..., None] * flat)
+        diagonal = np.zeros((count, 12))
+        diagonal[:, :6] = np.repeat(r * self.stiffness, 3, axis=1)
+        H[:, np.arange(12), np.arange(12)] += diagonal
+        if not convex:
+            # derivative of m = u x v: δm = -[v]x δu + [u]x δv
+            M = np.concatenate([-_skew(v), _skew(u)], axis=2)
+            P = (np.eye(3) - n[:, :, None] * n[:, None, :]) / length[:, None, None]
+            w = weight * kappa
+            for f in (0, 1):
+                mixed = w[:, f, None, None] * (P @ M)
+                H[:, 3 * f : 3 * f + 3, 6:] += mixed
+                H[:, 6:, 3 * f : 3 * f + 3] += mixed.transpose(0, 2, 1)
+            Q = np.einsum("sf,sfc->sc", w, q)  # Σ w q
+            nQ = n[:, :, None] * Q[:, None, :]
+            mm = -(nQ + nQ.transpose(0, 2, 1) + (w * kappa).sum(1)[:, None, None] * P)
+            H[:, 6:, 6:] += M.transpose(0, 2, 1) @ (mm / length[:, None, None]) @ M
+            H[:, 6:9, 9:] -= _skew(Q)
+            H[:, 9:, 6:9] += _skew(Q)
+        return self.operator.transpose(0, 2, 1) @ H @ self.operator
+
+
+def _neighbours(blank: Blank, family: str) -> tuple[IntArray, IntArray, FloatArray]:
+    """Nodes before and after each node on its fibre line (-1: none), and 1/l of those segments."""
+    line = blank.fibre_lines(family)
+    basis = Basis(line, ElementLineP1(), quadrature=(np.array([[0.5]]), np.array([1.0])))
+    slope = basis.basis[1][0].grad[0, :, 0]  # of the second node's shape function: 1/l
+    first, second = basis.element_dofs
+    n = len(blank.nodes)
+    left, right, grad = np.full(n, -1), np.full(n, -1), np.zeros((2, n))
+    left[second], right[first] = first, second
+    grad[0, second], grad[1, first] = slope, slope
+    return left, right, grad
+
+
+def _skew(w: FloatArray) -> FloatArray:
+    """(n, 3, 3) matrices [w]x with [w]x a = w x a."""
+    S = np.zeros((len(w), 3, 3))
+    S[:, 0, 1], S[:, 0, 2], S[:, 1, 2] = -w[:, 2], w[:, 1], -w[:, 0]
+    return S - S.transpose(0, 2, 1)

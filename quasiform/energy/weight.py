@@ -1,0 +1,77 @@
+"""Dead loads: the weight of the sheet, and of a tool that rests on it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..blank import Blank
+
+FloatArray = np.ndarray
+GRAVITY = 9.81e-3  # N/g
+
+
+class SheetWeight:
+    """Weight of the sheet: E = q Σ w_i z_i with the load factor q as a degree of freedom.
+
+    Raising q from 0 to 1 as the driven degree of freedom applies the weight in increments.
+
+    Parameters
+    ----------
+    blank : Blank
+    load : float
+        Weight per area at q = 1, N/mm².
+    factor_dof : int
+        Degree of freedom of q.
+    """
+
+    name = "weight of the sheet"
+
+    def __init__(self, blank: Blank, load: float, factor_dof: int) -> None:
+        nodes = np.arange(len(blank.nodes))
+        self.dofs = np.column_stack([3 * nodes + 2, 0 * nodes + factor_dof])
+        self.force = load * blank.node_areas
+
+    def energy(self, x: FloatArray) -> FloatArray:
+        """(n_nodes,) energy, mJ."""
+        z, q = x[self.dofs].T
+        return self.force * q * z
+
+    def gradient(self, x: FloatArray) -> FloatArray:
+        """(n_nodes, 2) derivatives by z and q."""
+        z, q = x[self.dofs].T
+        return self.force[:, None] * np.column_stack([q, z])
+
+    def hessian(self, x: FloatArray, convex: bool) -> FloatArray:  # noqa: ARG002 (q is driven)
+        """(n_nodes, 2, 2); only the mixed derivative by z and q, which is not a stiffness."""
+        H = np.zeros((len(self.force), 2, 2))
+        H[:, 0, 1] = H[:, 1, 0] = self.force
+        return H
+
+
+class ToolWeight:
+    """Weight of a floating tool: E = m g z.
+
+    Parameters
+    ----------
+    mass : float
+        kg (its share of the modelled part of the sheet).
+    height_dof : int
+    """
+
+    name = "weight of the blank holder"
+
+    def __init__(self, mass: float, height_dof: int) -> None:
+        self.dofs = np.array([[height_dof]])
+        self.force = 1e3 * GRAVITY * mass
+
+    def energy(self, x: FloatArray) -> FloatArray:
+        """(1,) energy, mJ."""
+        return self.force * x[self.dofs[0]]
+
+    def gradient(self, x: FloatArray) -> FloatArray:  # noqa: ARG002 (constant)
+        """(1, 1) weight, N."""
+        return np.array([[self.force]])
+
+    def hessian(self, x: FloatArray, convex: bool) -> FloatArray:  # noqa: ARG002 (zero)
+        """(1, 1, 1) zeros."""
+        return np.zeros((1, 1, 1))

@@ -1,0 +1,100 @@
+"""A scene: blank, fabric, energy terms, supports and the travel that drives them.
+
+x is the flat vector of node positions (dim components a node) followed by the rigid degrees of
+freedom. Some are prescribed: x = x0 + travel * drive. All others are solved for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from .blank import Blank
+from .energy import Term
+from .energy.contact import Contact
+from .energy.friction import Friction
+from .energy.membrane import Membrane
+from .material import Fabric
+
+FloatArray = np.ndarray
+
+
+@dataclass
+class Scene:
+    """What is solved. Built by `experiments`, or by hand.
+
+    Parameters
+    ----------
+    name : str
+    blank : Blank
+    fabric : Fabric
+    dim : int
+        2 for a plane problem, 3 in space.
+    terms : list of Term
+        Energies; the first is the membrane. Append your own.
+    x0 : (n_dofs,) array
+        Start: node positions, then rigid degrees of freedom.
+    fixed : (n_dofs,) bool array
+        Prescribed degrees of freedom.
+    drive : (n_dofs,) array
+        Their motion per unit of travel.
+    travel : float
+        Where to end (mm for a punch or a grip; 1 for a load factor).
+    increment : float
+        Largest increment of travel when the program chooses.
+    rows : float
+        History rows fall on multiples of this travel.
+    share : float
+        Modelled share of the whole (1/4 with two mirror planes); forces are divided by it.
+    resting : float
+        Dead load that holds the scene together (holder weight of the modelled share), N.
+    model : list of (entry, reason)
+        What is modelled and what was left out, and why.
+    parameters : dict
+        The user's input, as written into `summary.json`.
+    measures : dict
+        Functions of x whose values go into `history` (name: function).
+    """
+
+    name: str
+    blank: Blank
+    fabric: Fabric
+    dim: int
+    terms: list[Term]
+    x0: FloatArray
+    fixed: np.ndarray
+    drive: FloatArray
+    travel: float
+    increment: float
+    rows: float
+    share: float = 1.0
+    resting: float = 0.0
+    model: list[tuple[str, str]] = field(default_factory=list)
+    parameters: dict[str, Any] = field(default_factory=dict)
+    measures: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def membrane(self) -> Membrane:
+        """The membrane term."""
+        return next(term for term in self.terms if isinstance(term, Membrane))
+
+    @property
+    def contacts(self) -> list[Contact]:
+        """The contact terms, in the order of the tools."""
+        return [term for term in self.terms if isinstance(term, Contact)]
+
+    @property
+    def frictions(self) -> list[Friction]:
+        """The friction terms."""
+        return [term for term in self.terms if isinstance(term, Friction)]
+
+    @property
+    def n_nodal(self) -> int:
+        """Number of nodal degrees of freedom; the rigid ones follow."""
+        return self.dim * len(self.blank.nodes)
+
+    def positions(self, x: FloatArray) -> FloatArray:
+        """(n_nodes, dim) positions of the nodes, mm."""
+        return x[: self.n_nodal].reshape(-1, self.dim)

@@ -1,0 +1,245 @@
+"""Load increments: predict, Newton, rescue, commit.
+
+The travel is followed in increments that shrink when a solve fails and grow again when it is easy.
+When the shortest increment fails too, dynamic relaxation is tried and its state handed back to
+Newton; when that fails the run stops and says where and why, with everything up to there kept.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from ..checks import InputError, check_number
+from ..energy.friction import Friction
+from ..result import Result, State
+from ..scene import Scene
+from .newton import Equilibrium, NotConvergedError
+from .relaxation import relax
+
+FloatArray = np.ndarray
+SHORTEST = 1 / 64  # of the largest increment
+
+
+@dataclass(frozen=True)
+class Progress:
+    """What a callback is told after each increment."""
+
+    travel: float
+    goal: float
+    residual: float
+    force: float
+    contacts: int
+    linear_solves: int
+    elapsed: float
+
+
+def solve(
+    scene: Scene,
+    callback: Callable[[Progress], None] | None = None,
+    increment: float | None = None,
+    method: Literal["newton", "relaxation"] = "newton",
+    linear: str = "auto",
+    tolerance: float = 1e-4,
+    convex: Literal["on demand", "always"] = "on demand",
+) -> Result:
+    """Follow the travel of a scene to its end.
+
+    Parameters
+    ----------
+    scene : Scene
+    callback : callable, optional
+        Told the `Progress` after each increment.
+    increment : float, optional
+        Size of the increments in units of the travel; the scene's own choice if not given.
+        A history row is kept for each; else rows fall on the scene's round values.
+    method : "newton" or "relaxation"
+        "relaxation" solves every increment by dynamic relaxation alone.
+    linear : str
+        Linear solver: "auto", "pardiso", "superlu" or "amg".
+    tolerance : float
+        Sum of the nodal residuals relative to the driving force.
+    convex : "on demand" or "always"
+        When the convex tangent takes the place of the exact one.
+
+    Returns
+    -------
+    Result
+        With `status` "completed", or "stopped" and the `reason`.
+
+    Raises
+    ------
+    InputError
+        For a bad increment, method or linear solver.
+    """
+    if method not in ("newton", "relaxation"):
+        raise InputError(f"unknown method '{method}': expected 'newton' or 'relaxation'")
+    if increment is not None:
+        check_number("increment", increment)
+    clock = time.perf_counter()
+    equilibrium = Equilibrium(scene, linear, tolerance, convex)
+    run = _Run(equilibrium, method)
+    largest = increment or scene.increment
+    rows = increment or scene.rows
+    shortest = SHORTEST * largest
+    reason = ""
+    states: list[State] = []
+    try:
+        x = run.start()
+    except NotConvergedError as error:
+        x, reason = scene.x0, f"at the start: {error}"
+    run.account(x, 0.0)
+    states.append(run.state(x, 0.0))
+    s, step = 0.0, largest / 16  # the first response is the most curved
+    while not reason and s < scene.travel * (1 - 1e-12):
+        goal = min(rows * np.floor(s / rows * (1 + 1e-12) + 1), scene.travel)
+        target = goal if s + step * (1 + 1e-6) >= goal else s + step
+        before = equilibrium.linear_solves
+        try:
+            x = run.advance(x, s, target, rescue=step <= shortest)
+        except NotConvergedError as error:
+            if step <= shortest:
+                reason = f"at {s:.4g} of {scene.travel:.4g}: {error}"
+            step = max(0.5 * min(step, target - s), shortest)
+            run.count("shorter step")
+            continue
+        run.account(x, target)
+        s = target
+        if equilibrium.linear_solves - before <= 30:
+            step = min(2.0 * step, largest)
+        if s == goal:
+            states.append(run.state(x, s))
+        if callback:
+            callback(
+                Progress(
+                    s,
+                    scene.travel,
+                    run.residual,
+                    states[-1].force if s == goal else run.force / scene.share,
+                    sum(int((c.penetration(x) > 0).sum()) for c in scene.contacts),
+                    equilibrium.linear_solves,
+                    time.perf_counter() - clock,
+                )
+            )
+    if states[-1].travel < s:
+        states.append(run.state(x, s))
+    return run.result(states, reason, time.perf_counter() - clock)
+
+
+class _Run:
+    """The bookkeeping of one run: work, friction losses, rescues, certificate."""
+
+    def __init__(self, equilibrium: Equilibrium, method: str) -> None:
+        self.equilibrium, self.method = equilibrium, method
+        self.scene = equilibrium.scene
+        self.rescues: dict[str, int] = {}
+        self.increments = 0
+        self.work = self.friction_work = self.driven = 0.0
+        self.force = self.residual = 0.0
+        self.negative_pivots: int | None = None
+        self._last: tuple[float, list[tuple[FloatArray, FloatArray]]] | None = None
+        self._stored = self._stored_at_start = 0.0
+        self.collapse: dict[str, float] | None = None
+
+    def count(self, rung: str) -> None:
+        self.rescues[rung] = self.rescues.get(rung, 0) + 1
+
+    def start(self) -> FloatArray:
+        """Equilibrium before any travel (a holder settling on the sheet)."""
+        x = self.scene.x0.copy()
+        if self.scene.resting:
+            x = self._solve(x)
+            self._commit(x)
+        return x
+
+    def advance(self, x: FloatArray, s: float, target: float, rescue: bool) -> FloatArray:
+        """Carry the state x at travel s to the travel `target`; a failure leaves no trace."""
+        equilibrium = self.equilibrium
+        try:
+            if self.method == "relaxation":
+                moved = self._solve(x + (target - s) * self.scene.drive)
+            else:
+                moved = self._solve(equilibrium.predict(x, target - s))
+        except NotConvergedError as error:
+            self._refresh(x)
+            if not rescue or self.method == "relaxation":
+                raise
+            self.count("dynamic relaxation")
+            try:
+                relaxed = relax(equilibrium, x + (target - s) * self.scene.drive, 1e-2, 5000)
+                moved = self._solve(relaxed)
+            except NotConvergedError:
+                self._refresh(x)
+                raise error from None
+        self._commit(moved)
+        self.increments += 1
+        return moved
+
+    def _solve(self, x: FloatArray) -> FloatArray:
+        if self.method == "relaxation":
+            return relax(self.equilibrium, x)
+        return self._leave_saddles(self.equilibrium.settle(x))
+
+    def _leave_saddles(self, x: FloatArray, tries: int = 4) -> FloatArray:
+        """Follow negative curvature down until the exact tangent is positive definite."""
+        return x
+
+    def _refresh(self, x: FloatArray) -> None:
+        for term in self.scene.frictions:
+            term.refresh(x)
+
+    def _commit(self, x: FloatArray) -> None:
+        for term in self.scene.frictions:
+            term.commit(x)
+
+    def account(self, x: FloatArray, s: float) -> None:
+        """Work and friction losses by the trapezoidal rule since the last increment."""
+        scene, potential = self.scene, self.equilibrium.potential
+        g = potential.gradient(x)
+        self.force = self.equilibrium.force(g)
+        self.residual = self.equilibrium.residual(g)
+        stored = float(
+            sum(t.energy(x).sum() for t in scene.terms if not isinstance(t, Friction))
+        )
+        rubbing = [(t.force(x), t.contact.relative(x)) for t in scene.frictions]
+        if self._last is None:
+            self._stored_at_start = stored
+        else:
+            force, before = self._last
+            self.work += 0.5 * (force + self.force) * (s - self.driven)
+            for (f0, p0), (f1, p1) in zip(before, rubbing, strict=True):
+                self.friction_work += float((0.5 * (f0 + f1) * (p1 - p0)).sum())
+        self._stored = stored
+        self._last = self.force, rubbing
+        self.driven = s
+
+    def state(self, x: FloatArray, s: float) -> State:
+        measures = {name: measure(x) for name, measure in self.scene.measures.items()}
+        return State(
+            s, x.copy(), self.force / self.scene.share, self.equilibrium.linear_solves, measures
+        )
+
+    def result(self, states: list[State], reason: str, wall: float) -> Result:
+        balance = self.work - (self._stored - self._stored_at_start) - self.friction_work
+        x = states[-1].x
+        g = self.equilibrium.potential.gradient(x)
+        negative = None
+        if self.equilibrium.solver.inertia:
+            negative, _ = self.equilibrium.factor(x, convex=False)
+        return Result(
+            scene=self.scene,
+            states=states,
+            reason=reason,
+            wall=wall,
+            linear_solves=self.equilibrium.linear_solves,
+            linear_solver=self.equilibrium.solver.name,
+            increments=self.increments,
+            rescues=self.rescues,
+            residual=self.equilibrium.residual(g, certified=True),
+            energy_balance=abs(balance) / max(abs(self.work), 1e-12),
+            negative_pivots=negative,
+        )

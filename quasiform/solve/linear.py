@@ -1,0 +1,209 @@
+"""Linear solvers for the symmetric Newton systems: symbolic work once, numeric work each time.
+
+- "pardiso": MKL PARDISO (extra `fast`), LDL' with inertia; found by itself at run time.
+- "superlu": scipy's SuperLU on a nested-dissection order of the nodes, with inertia.
+- "amg": conjugate gradients preconditioned by PyAMG smoothed aggregation with the rigid motions;
+  convex matrices only, no inertia. Direct solvers win by far at the sizes measured, so it is
+  chosen by name only.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+import pyamg
+from scipy.sparse import coo_array, csc_array, csr_array
+from scipy.sparse.linalg import cg, splu
+
+from ..checks import InputError, suggestion
+
+FloatArray = np.ndarray
+NAMES = ("auto", "pardiso", "superlu", "amg")
+
+
+class SingularMatrixError(ArithmeticError):
+    """The matrix cannot be factorised: a motion without stiffness."""
+
+
+class LinearSolver(Protocol):
+    """Factorise once, solve for several right-hand sides."""
+
+    name: str
+    inertia: bool
+
+    def factor(self, values: FloatArray) -> int:
+        """Factorise; return the number of negative pivots (0 where `inertia` is False)."""
+        ...
+
+    def solve(self, b: FloatArray) -> FloatArray:
+        """Solve with the last factor."""
+        ...
+
+
+def linear_solver(name: str, pattern: csr_array, points: FloatArray, rigid: FloatArray) -> LinearSolver:
+    """Return the linear solver of that name for a fixed upper-triangular pattern.
+
+    Parameters
+    ----------
+    name : str
+        One of `NAMES`; "auto" takes PARDISO if it is installed, else SuperLU.
+    pattern : (n, n) csr_array
+        Upper triangle.
+    points : (n, 2) array
+        Flat position of each degree of freedom; nan for rigid ones (they are eliminated last).
+    rigid : (n, m) array
+        Rigid motions, the near-nullspace for "amg".
+
+    Raises
+    ------
+    InputError
+        For an unknown name, or "pardiso" where it is not installed.
+    """
+    if name not in NAMES:
+        raise InputError(f"unknown linear solver '{name}': {suggestion(name, NAMES)}")
+    if name in ("auto", "pardiso"):
+        try:
+            return Pardiso(pattern)
+        except ImportError as error:
+            if name == "pardiso":
+                raise InputError(
+                    "linear solver 'pardiso' is not installed: pip install 'quasiform[fast]'"
+                ) from error
+    return AlgebraicMultigrid(pattern, rigid) if name == "amg" else SuperLU(pattern, points)
+
+
+class Pardiso:
+    """MKL PARDISO, symmetric indefinite: analysed once, refactorised with new values."""
+
+    name = "pardiso"
+    inertia = True
+
+    def __init__(self, pattern: csr_array) -> None:
+        import pymklpardiso
+
+        self._new = lambda values: pymklpardiso.PardisoSolver(
+            csr_array((values, pattern.indices, pattern.indptr), shape=pattern.shape),
+            pymklpardiso.MTYPE_REAL_SYM_INDEF,
+        )
+        self._solver = None
+
+    def factor(self, values: FloatArray) -> int:
+        try:
+            if self._solver is None:
+                self._solver = self._new(values)
+            else:
+                self._solver.refactor(values)
+        except RuntimeError as error:
+            raise SingularMatrixError(str(error)) from error
+        return int(self._solver.get_iparm_value(22))
+
+    def solve(self, b: FloatArray) -> FloatArray:
+        return self._solver.solve(b)
+
+
+class SuperLU:
+    """scipy's SuperLU without pivoting on a geometric nested-dissection order."""
+
+    name = "superlu"
+    inertia = True
+
+    def __init__(self, pattern: csr_array, points: FloatArray) -> None:
+        n = pattern.shape[0]
+        upper = pattern.tocoo()
+        row, column = upper.row, upper.col
+        place = np.empty(n, dtype=int)
+        self._order = nested_dissection(points)
+        place[self._order] = np.arange(n)
+        off = np.flatnonzero(row != column)
+        rows = place[np.concatenate([row, column[off]])]
+        columns = place[np.concatenate([column, row[off]])]
+        source = np.concatenate([np.arange(len(row)), off])
+        by_column = np.lexsort((rows, columns))
+        self._source = source[by_column]
+        self._indices = rows[by_column].astype(np.int32)
+        self._indptr = np.searchsorted(columns[by_column], np.arange(n + 1)).astype(np.int32)
+        self._factor = None
+
+    def factor(self, values: FloatArray) -> int:
+        n = len(self._order)
+        matrix = csc_array((values[self._source], self._indices, self._indptr), shape=(n, n))
+        try:
+            self._factor = splu(
+                matrix,
+                permc_spec="NATURAL",
+                diag_pivot_thresh=0.0,
+                options={"SymmetricMode": True},
+            )
+        except RuntimeError as error:
+            raise SingularMatrixError(str(error)) from error
+        return int((self._factor.U.diagonal() < 0).sum())
+
+    def solve(self, b: FloatArray) -> FloatArray:
+        x = np.empty_like(b)
+        x[self._order] = self._factor.solve(b[self._order])
+        return x
+
+
+class AlgebraicMultigrid:
+    """Conjugate gradients with smoothed aggregation (PyAMG)."""
+
+    name = "amg"
+    inertia = False
+
+    def __init__(self, pattern: csr_array, rigid: FloatArray) -> None:
+        self._pattern, self._rigid = pattern, rigid
+        self._matrix = self._preconditioner = None
+
+    def factor(self, values: FloatArray) -> int:
+        p = self._pattern
+        upper = csr_array((values, p.indices, p.indptr), shape=p.shape)
+        diagonal = coo_array((upper.diagonal(), (np.arange(p.shape[0]),) * 2), shape=p.shape)
+        self._matrix = (upper + upper.T - diagonal).tocsr()
+        hierarchy = pyamg.smoothed_aggregation_solver(self._matrix, B=self._rigid)
+        self._preconditioner = hierarchy.aspreconditioner()
+        return 0
+
+    def solve(self, b: FloatArray) -> FloatArray:
+        x, failed = cg(self._matrix, b, rtol=1e-8, maxiter=5000, M=self._preconditioner)
+        if failed:
+            raise SingularMatrixError("conjugate gradients did not converge in 5000 iterations")
+        return x
+
+
+def nested_dissection(points: FloatArray, leaf: int = 64) -> np.ndarray:
+    """Elimination order by recursive coordinate bisection (George 1973), separators last.
+
+    Parameters
+    ----------
+    points : (n, 2) array
+        Flat positions; nan rows are put at the very end.
+    leaf : int
+        Number of degrees of freedom below which a part is not divided further.
+
+    Returns
+    -------
+    order : (n,) int array
+    """
+    rigid = np.flatnonzero(np.isnan(points).any(1))
+    flat = np.flatnonzero(~np.isnan(points).any(1))
+    if not len(flat):
+        return rigid
+    # second differences reach two fibre spacings: the separator is that wide
+    corners, count = np.unique(np.round(points[flat], 6), axis=0, return_counts=True)
+    spacing = np.sqrt(np.ptp(corners, axis=0).prod() / max(len(count), 1))
+
+    def divide(part: np.ndarray) -> list[np.ndarray]:
+        if len(part) <= leaf:
+            return [part]
+        box = points[part]
+        axis = int(np.ptp(box, axis=0).argmax())
+        s = box[:, axis]
+        cut = np.median(s)
+        middle = np.abs(s - cut) < 1.01 * spacing
+        below, above = part[(s < cut) & ~middle], part[(s > cut) & ~middle]
+        if not len(below) or not len(above):
+            return [part]
+        return [*divide(below), *divide(above), part[middle]]
+
+    return np.concatenate([*divide(flat), rigid])

@@ -1,0 +1,231 @@
+"""Newton's method on the summed potential, with the tangent that the state deserves.
+
+The exact tangent is used where it is positive definite; where it is not, the nearby convex one is
+for this and the next iteration. Every step is a descent step of one potential, searched along its
+line (Armijo) and refused where it would turn a triangle over. Convergence is measured against the
+driving force.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.sparse.linalg import LinearOperator, eigsh
+
+from ..energy import Potential
+from ..scene import Scene
+from .linear import LinearSolver, SingularMatrixError, linear_solver
+
+FloatArray = np.ndarray
+
+
+class NotConvergedError(ArithmeticError):
+    """A solve that did not reach its tolerance; carries the state it had come to."""
+
+    def __init__(self, reason: str, x: FloatArray, residual: float) -> None:
+        super().__init__(reason)
+        self.x, self.residual = x, residual
+
+
+@dataclass
+class Equilibrium:
+    """The equations of a scene with their linear solver, and the count of the work done.
+
+    Parameters
+    ----------
+    scene : Scene
+    linear : str
+        Name of the linear solver.
+    tolerance : float
+        Sum of the nodal force residuals relative to the driving force.
+    convex : "on demand" or "always"
+        Which tangent to use.
+    """
+
+    scene: Scene
+    linear: str = "auto"
+    tolerance: float = 1e-4
+    convex: str = "on demand"
+    linear_solves: int = 0
+    energies: int = 0
+    potential: Potential = field(init=False)
+    solver: LinearSolver = field(init=False)
+
+    def __post_init__(self) -> None:
+        scene = self.scene
+        free = ~scene.fixed
+        self.potential = Potential(scene.terms, scene.drive, free)
+        points = np.full((len(scene.x0), 2), np.nan)
+        points[: scene.n_nodal] = np.repeat(scene.blank.nodes, scene.dim, axis=0)
+        self.solver = linear_solver(
+            self.linear, self.potential.pattern, points[free], _rigid_motions(scene)[free]
+        )
+
+    def force(self, g: FloatArray) -> float:
+        """Derivative of the potential by the travel, N (of the modelled share)."""
+        return float(self.scene.drive @ g)
+
+    def residual(self, g: FloatArray, certified: bool = False) -> float:
+        """Sum of the free nodal forces relative to the driving force.
+
+        Before the driving force has grown to 2 % of a resting tool's weight it is measured against
+        that, unless `certified`.
+        """
+        scene = self.scene
+        r = np.where(scene.fixed, 0.0, g)
+        total = np.linalg.norm(r[: scene.n_nodal].reshape(-1, scene.dim), axis=1).sum()
+        total += np.abs(r[scene.n_nodal :]).sum()
+        floor = 1e-9 if certified else 0.02 * scene.resting + 1e-9
+        return float(total / max(abs(self.force(g)), floor))
+
+    def worst(self, g: FloatArray) -> str:
+        """Where the residual is largest, in words."""
+        r = np.where(self.scene.fixed, 0.0, g)[: self.scene.n_nodal].reshape(-1, self.scene.dim)
+        size = np.linalg.norm(r, axis=1)
+        X = self.scene.blank.nodes[size.argmax()]
+        return f"{size.max():.2g} N at X = ({X[0]:.1f}, {X[1]:.1f}) mm"
+
+    def factor(self, x: FloatArray, convex: bool) -> tuple[int, FloatArray]:
+        """Factorise the tangent; number of negative pivots, and its product with the drive."""
+        values, load = self.potential.hessian(x, convex)
+        self.linear_solves += 1
+        return self.solver.factor(values), load
+
+    def factor_definite(self, x: FloatArray) -> tuple[bool, FloatArray]:
+        """Factorise the exact tangent if it is positive definite, else the convex one.
+
+        Returns
+        -------
+        exact : bool
+        load : (n_free,) array
+        """
+        if self.convex == "on demand" and self.solver.inertia:
+            try:
+                negative, load = self.factor(x, convex=False)
+                if negative == 0:
+                    return True, load
+            except SingularMatrixError:
+                pass
+        _, load = self.factor(x, convex=True)
+        return False, load
+
+    def predict(self, x: FloatArray, step: float) -> FloatArray:
+        """Move the prescribed degrees of freedom by `step` of travel, the others along the tangent."""
+        _, load = self.factor_definite(x)
+        g = self.potential.gradient(x)
+        moved = x + step * self.scene.drive
+        moved[~self.scene.fixed] -= self.solver.solve(g[~self.scene.fixed] + step * load)
+        if np.isfinite(moved).all() and not self.turns_over(x, moved):
+            return moved
+        return x + step * self.scene.drive
+
+    def turns_over(self, x: FloatArray, trial: FloatArray) -> bool:
+        """Whether a triangle is turned over between two states."""
+        membrane = self.scene.membrane
+        return bool(((membrane.normals(x) * membrane.normals(trial)).sum(1) <= 0).any())
+
+    def minimise(self, x: FloatArray, max_iterations: int = 60) -> FloatArray:
+        """Newton iterations with the lagged values as they are.
+
+        Raises
+        ------
+        NotConvergedError
+            With the reason, the place of the largest residual and the best state.
+        """
+        free = ~self.scene.fixed
+        convex_left = 0
+        for _ in range(max_iterations):
+            g = self.potential.gradient(x)
+            residual = self.residual(g)
+            if residual < self.tolerance:
+                return x
+            if convex_left:
+                self.factor(x, convex=True)
+                convex_left -= 1
+            else:
+                exact, _ = self.factor_definite(x)
+                convex_left = 0 if exact else 1
+            d = np.zeros_like(x)
+            d[free] = -self.solver.solve(g[free])
+            x = self._line_search(x, g, d, residual)
+        raise NotConvergedError(
+            f"no equilibrium in {max_iterations} Newton iterations: residual {residual:.1e} of the "
+            f"driving force against {self.tolerance:.0e}, largest {self.worst(g)}",
+            x,
+            residual,
+        )
+
+    def _line_search(
+        self, x: FloatArray, g: FloatArray, d: FloatArray, residual: float
+    ) -> FloatArray:
+        """Armijo's rule by halving, with a floor of round-off, a longest step and the flip guard."""
+        slope = float(g @ d)
+        if not np.isfinite(slope) or slope >= 0:
+            raise NotConvergedError("Newton's direction is no descent direction", x, residual)
+        E = self.potential.energy(x)
+        self.energies += 1
+        floor = 1e-12 * (abs(E) + self.scene.resting + 1e-6)
+        step = self.scene.positions(d)
+        longest = np.linalg.norm(step, axis=1).max()
+        alpha = min(1.0, 3.0 * self.scene.blank.size / max(longest, 1e-300))
+        for _ in range(40):
+            trial = x + alpha * d
+            if not self.turns_over(x, trial):
+                self.energies += 1
+                if self.potential.energy(trial) <= E + 1e-4 * alpha * slope + floor:
+                    return trial
+            alpha *= 0.5
+        raise NotConvergedError(
+            f"no descent along Newton's direction: residual {residual:.1e} of the driving force, "
+            f"largest {self.worst(g)}",
+            x,
+            residual,
+        )
+
+    def settle(self, x: FloatArray, passes: int = 12) -> FloatArray:
+        """Minimise and refresh the lagged values until the residual with fresh ones is small.
+
+        Raises
+        ------
+        NotConvergedError
+        """
+        for _ in range(passes):
+            x = self.minimise(x)
+            if not self.scene.frictions:
+                return x
+            for term in self.scene.frictions:
+                term.refresh(x)
+            residual = self.residual(self.potential.gradient(x))
+            if residual < 3 * self.tolerance:
+                return x
+        raise NotConvergedError(
+            f"friction does not settle in {passes} passes: residual {residual:.1e}", x, residual
+        )
+
+    def negative_direction(self) -> FloatArray:
+        """Lowest eigenvector of the last factorised exact tangent, as a motion of the scene."""
+        n = self.potential.pattern.shape[0]
+        inverse = LinearOperator((n, n), matvec=self.solver.solve, dtype=float)
+        # the most negative eigenvalue of the inverse belongs to the weakest unstable mode
+        start = np.random.default_rng(0).normal(size=n)
+        _, modes = eigsh(inverse, k=1, which="SA", v0=start, tol=1e-2)
+        d = np.zeros(len(self.scene.x0))
+        d[~self.scene.fixed] = modes[:, 0]
+        return d
+
+
+def _rigid_motions(scene: Scene) -> FloatArray:
+    """(n_dofs, m) translations and rotations of the sheet."""
+    dim = scene.dim
+    X = scene.positions(scene.x0)
+    motions = [np.broadcast_to(e, X.shape) for e in np.eye(dim)]
+    for i in range(dim):
+        for j in range(i):
+            turn = np.zeros_like(X)
+            turn[:, i], turn[:, j] = X[:, j], -X[:, i]
+            motions.append(turn)
+    B = np.zeros((len(scene.x0), len(motions)))
+    B[: scene.n_nodal] = np.stack([m.ravel() for m in motions], axis=1)
+    B[scene.n_nodal :, 0] = 1.0
+    return B

@@ -1,0 +1,97 @@
+"""Dynamic relaxation with kinetic damping: equilibrium as the rest of a damped motion.
+
+Leapfrog steps of unit length with fictitious masses from Gershgorin's bound on the convex tangent,
+the full contact stiffness included whether or not a node touches; whenever the kinetic energy has
+passed a peak the motion is stopped and started anew from there. It needs gradients only, so it gets
+along where tangents are bad, some forty times slower than Newton where they are not.
+
+References: A. S. Day (1965) "An introduction to dynamic relaxation", The Engineer 219; P. Cundall
+(1976) for kinetic damping.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from .newton import Equilibrium, NotConvergedError
+
+FloatArray = np.ndarray
+
+
+def relax(
+    equilibrium: Equilibrium,
+    x: FloatArray,
+    tolerance: float | None = None,
+    max_iterations: int = 100_000,
+    refresh_every: int = 200,
+) -> FloatArray:
+    """Relax a state to equilibrium, the prescribed degrees of freedom held.
+
+    Parameters
+    ----------
+    equilibrium : Equilibrium
+    x : (n_dofs,) array
+        Start.
+    tolerance : float, optional
+        Residual relative to the driving force; that of `equilibrium` if not given.
+    max_iterations : int
+    refresh_every : int
+        Iterations between updates of the masses and of lagged friction.
+
+    Returns
+    -------
+    x : (n_dofs,) array
+
+    Raises
+    ------
+    NotConvergedError
+    """
+    scene, potential = equilibrium.scene, equilibrium.potential
+    tolerance = tolerance or equilibrium.tolerance
+    free = ~scene.fixed
+    v = np.zeros_like(x)
+    kinetic_before = 0.0
+    for iteration in range(max_iterations):
+        if iteration % refresh_every == 0:
+            mass = _masses(equilibrium, x)
+            for term in scene.frictions:
+                term.refresh(x)
+        g = potential.gradient(x)
+        residual = equilibrium.residual(g)
+        # a residual counts with refreshed friction only
+        if residual < tolerance and (not scene.frictions or iteration % refresh_every == 0):
+            return x
+        a = np.where(free, -g / mass, 0.0)
+        v_next = v + a if v.any() else 0.5 * a
+        kinetic = float((mass * v_next**2)[free].sum())
+        if kinetic < kinetic_before:
+            x = x - 0.5 * v  # back to about the peak
+            v = np.zeros_like(v)
+            kinetic_before = 0.0
+            continue
+        v, kinetic_before = v_next, kinetic
+        x = x + v
+        if not np.isfinite(kinetic):
+            raise NotConvergedError("dynamic relaxation diverged", x, np.inf)
+    raise NotConvergedError(
+        f"dynamic relaxation: residual {residual:.1e} after {max_iterations} iterations, "
+        f"largest {equilibrium.worst(g)}",
+        x,
+        residual,
+    )
+
+
+def _masses(equilibrium: Equilibrium, x: FloatArray) -> FloatArray:
+    """(n_dofs,) masses that keep unit time steps stable: Σ_j |K_ij| / 2."""
+    scene, potential = equilibrium.scene, equilibrium.potential
+    values, _ = potential.hessian(x, convex=True)
+    upper = csr_array((np.abs(values), potential.pattern.indices, potential.pattern.indptr))
+    upper.resize(potential.pattern.shape)
+    rows = np.asarray(upper.sum(1)) + np.asarray(upper.sum(0)) - upper.diagonal()
+    sums = np.ones_like(x)
+    sums[~scene.fixed] = rows
+    for contact in scene.contacts:
+        stiffness = np.repeat((contact.area * contact.compaction)[:, None], 4, axis=1)
+        sums += np.bincount(contact.dofs.ravel(), stiffness.ravel(), minlength=len(x))
+    return 0.5 * sums
