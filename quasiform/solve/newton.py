@@ -18,6 +18,7 @@ from ..scene import Scene
 from .linear import LinearSolver, SingularMatrixError, linear_solver
 
 FloatArray = np.ndarray
+CNT=[0]
 
 
 class NotConvergedError(ArithmeticError):
@@ -165,23 +166,47 @@ class Equilibrium:
             raise NotConvergedError("Newton's direction is no descent direction", x, residual)
         E = self.potential.energy(x)
         self.energies += 1
+        free = ~self.scene.fixed
         floor = 1e-12 * (abs(E) + self.scene.resting + 1e-6)
         step = self.scene.positions(d)
         longest = np.linalg.norm(step, axis=1).max()
-        alpha = min(1.0, 3.0 * self.scene.blank.size / max(longest, 1e-300))
+        longest_alpha = 3.0 * self.scene.blank.size / max(longest, 1e-300)
+        alpha = min(1.0, longest_alpha)
         for _ in range(40):
             trial = x + alpha * d
-            if not self.turns_over(x, trial):
-                self.energies += 1
-                if self.potential.energy(trial) <= E + 1e-4 * alpha * slope + floor:
-                    return trial
+            best = self._energy_at(x, trial)
+            if best <= E + 1e-4 * alpha * slope + floor:
+                break
+            # stiff fibres turn the valley: a second-order correction with the same factor
+            # takes the stretch out again (the remedy for Maratos's effect)
+            if np.isfinite(best):
+                bent = trial.copy()
+                bent[free] -= self.solver.solve(self.potential.gradient(trial)[free])
+                if self._energy_at(x, bent) <= E + 1e-4 * alpha * slope + floor:
+                    CNT[0]+=1
+                    return bent
             alpha *= 0.5
-        raise NotConvergedError(
-            f"no descent along Newton's direction: residual {residual:.1e} of the driving force, "
-            f"largest {self.worst(g)}",
-            x,
-            residual,
-        )
+        else:
+            raise NotConvergedError(
+                f"no descent along Newton's direction: residual {residual:.1e} of the driving "
+                f"force, largest {self.worst(g)}",
+                x,
+                residual,
+            )
+        # where the convex tangent is much too stiff the energy falls almost linearly: go on
+        while best < E + 0.75 * alpha * slope and 2 * alpha <= longest_alpha:
+            further = self._energy_at(x, x + 2 * alpha * d)
+            if further >= best:
+                break
+            alpha, best = 2 * alpha, further
+        return x + alpha * d
+
+    def _energy_at(self, x: FloatArray, trial: FloatArray) -> float:
+        """Energy of a trial state; infinite where a triangle has been turned over since x."""
+        if self.turns_over(x, trial):
+            return np.inf
+        self.energies += 1
+        return self.potential.energy(trial)
 
     def settle(self, x: FloatArray, passes: int = 12) -> FloatArray:
         """Minimise and refresh the lagged values until the residual with fresh ones is small.
