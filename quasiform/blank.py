@@ -94,12 +94,43 @@ class Blank:
         segments[backwards] = segments[backwards, ::-1]
         return _mesh(MeshLine, s[:, None], segments)
 
+    def unfolded(self) -> tuple[Blank, IntArray, FloatArray, IntArray, FloatArray]:
+        """Mirror a part of the blank into the whole.
+
+        Returns
+        -------
+        whole : Blank
+        node_source : (n_whole_nodes,) int array
+            Node of this blank that each node of the whole mirrors.
+        node_sign : (n_whole_nodes, 3) array
+            Factors of its position components, 1 or -1.
+        triangle_source : (n_whole_triangles,) int array
+        triangle_sign : (n_whole_triangles,) array
+            Factor of the shear angle, 1 or -1 (a mirrored net shears the other way).
+        """
+        nodes, source = self.nodes, np.arange(len(self.nodes))
+        sign = np.ones((len(nodes), 3))
+        triangles, triangle_source = self.triangles, np.arange(len(self.triangles))
+        triangle_sign = np.ones(len(triangles))
+        for plane in self.mirror:
+            axis = "xy".index(plane)
+            off = np.flatnonzero(np.abs(nodes[:, axis]) > 1e-9)
+            number = np.arange(len(nodes))
+            number[off] = len(nodes) + np.arange(len(off))
+            flip = np.ones(3)
+            flip[axis] = -1.0
+            nodes = np.vstack([nodes, nodes[off] * flip[:2]])
+            source, sign = np.append(source, source[off]), np.vstack([sign, sign[off] * flip])
+            triangles = np.vstack([triangles, number[triangles][:, ::-1]])
+            triangle_source = np.tile(triangle_source, 2)
+            triangle_sign = np.append(triangle_sign, -triangle_sign)
+        whole = replace(self, nodes=nodes, triangles=triangles, mirror=())
+        return whole, source, sign, triangle_source, triangle_sign
+
     def turned(self, angle: float) -> Blank:
         """Turn the blank together with its fibres by `angle` degrees about the origin."""
         R = rotation(angle)
-        return replace(
-            self, nodes=self.nodes @ R.T, warp=R @ self.warp, weft=R @ self.weft
-        )
+        return replace(self, nodes=self.nodes @ R.T, warp=R @ self.warp, weft=R @ self.weft)
 
 
 def _mesh(kind: type, nodes: FloatArray, elements: IntArray) -> MeshTri | MeshLine:
@@ -178,8 +209,10 @@ def _cut_net(a: FloatArray, b: FloatArray, outline: FloatArray) -> tuple[FloatAr
     parity = sum(int(np.abs(line - c).argmin()) for line, c in zip((a, b), outline[0], strict=True))
 
     number = lambda i, j: i * len(b) + j  # noqa: E731
-    I, J = i[whole], j[whole]  # noqa: E741
-    ring = np.stack([number(I, J), number(I + 1, J), number(I + 1, J + 1), number(I, J + 1)], axis=1)
+    I, J = i[whole], j[whole]
+    ring = np.stack(
+        [number(I, J), number(I + 1, J), number(I + 1, J + 1), number(I, J + 1)], axis=1
+    )
     even = ((I + J) % 2 == parity % 2)[:, None, None]
     first = np.where(even, ring[:, [[0, 1, 2], [2, 3, 0]]], ring[:, [[3, 0, 1], [1, 2, 3]]])
     triangles = [first.reshape(-1, 3)]

@@ -111,7 +111,7 @@ class ThreeStageLaw:
         """Whether the law has its first stage only."""
         return self.S_ini is None
 
-    def energy(self, I: FloatArray, I0: float = 0.0) -> FloatArray:  # noqa: E741
+    def energy(self, I: FloatArray, I0: float = 0.0) -> FloatArray:
         """W(I) in mJ/mm³ = MPa, zero at I0; same shape as `I`."""
         x = np.abs(I - I0)
         if self.linear:
@@ -123,7 +123,7 @@ class ThreeStageLaw:
         plateau -= self.C_mid * (E / c**2 - y * (1.0 - E) / c)
         return 0.5 * self.C_ini * np.minimum(x, It) ** 2 + plateau + self.C_lo * z**3 / 3.0
 
-    def stress(self, I: FloatArray, I0: float = 0.0) -> FloatArray:  # noqa: E741
+    def stress(self, I: FloatArray, I0: float = 0.0) -> FloatArray:
         """dW/dI in MPa (Eq. 9, with the sign of I - I0); same shape as `I`."""
         x = np.abs(I - I0)
         if self.linear:
@@ -133,14 +133,16 @@ class ThreeStageLaw:
         value = value - (self.C_mid * y + self.dS_mid) * np.expm1(-c * y) + self.C_lo * z**2
         return np.sign(I - I0) * value
 
-    def stiffness(self, I: FloatArray, I0: float = 0.0) -> FloatArray:  # noqa: E741
+    def stiffness(self, I: FloatArray, I0: float = 0.0) -> FloatArray:
         """d²W/dI² in MPa, positive everywhere; same shape as `I`."""
         x = np.abs(I - I0)
         if self.linear:
             return np.full_like(x, self.C_ini)
         It, c, y, z = self._stages(x)
         E = np.exp(-c * y)
-        later = self.C_mid * (1.0 - E) + (self.C_mid * y + self.dS_mid) * c * E + 2.0 * self.C_lo * z
+        later = (
+            self.C_mid * (1.0 - E) + (self.C_mid * y + self.dS_mid) * c * E + 2.0 * self.C_lo * z
+        )
         return np.where(x < It, self.C_ini, later)
 
     def _stages(self, x: FloatArray) -> tuple[float, float, FloatArray, FloatArray]:
@@ -200,7 +202,13 @@ class Fabric:
     def __post_init__(self) -> None:
         for name in ("thickness", "compaction"):
             check_number(f"Fabric({name}=...)", getattr(self, name))
-        for name in ("bending_warp", "bending_weft", "friction", "areal_weight", "in_plane_bending"):
+        for name in (
+            "bending_warp",
+            "bending_weft",
+            "friction",
+            "areal_weight",
+            "in_plane_bending",
+        ):
             check_number(f"Fabric({name}=...)", getattr(self, name), zero_allowed=True)
 
     @staticmethod

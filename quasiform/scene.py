@@ -1,11 +1,12 @@
 """A scene: blank, fabric, energy terms, supports and the travel that drives them.
 
 x is the flat vector of node positions (dim components a node) followed by the rigid degrees of
-freedom. Some are prescribed: x = x0 + travel * drive. All others are solved for.
+freedom. Some are prescribed as a function of the travel; all others are solved for.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,6 +18,7 @@ from .energy.contact import Contact
 from .energy.friction import Friction
 from .energy.membrane import Membrane
 from .material import Fabric
+from .measure import EdgePoint
 
 FloatArray = np.ndarray
 
@@ -38,8 +40,9 @@ class Scene:
         Start: node positions, then rigid degrees of freedom.
     fixed : (n_dofs,) bool array
         Prescribed degrees of freedom.
-    drive : (n_dofs,) array
-        Their motion per unit of travel.
+    drive : (n_dofs,) array, or a function of the travel
+        Their motion per unit of travel; or a function that returns their positions (n_dofs,) and
+        the rate of these (n_dofs,).
     travel : float
         Where to end (mm for a punch or a grip; 1 for a load factor).
     increment : float
@@ -56,6 +59,12 @@ class Scene:
         The user's input, as written into `summary.json`.
     measures : dict
         Functions of x whose values go into `history` (name: function).
+    areas : dict of name to (centre, radius)
+        Discs of the flat blank over which the shear angle is averaged, mm.
+    edges : dict of direction to EdgePoint
+        Where the draw-in is measured.
+    coarser : callable, optional
+        Builds the same scene at twice the size, for the error estimate.
     """
 
     name: str
@@ -65,7 +74,7 @@ class Scene:
     terms: list[Term]
     x0: FloatArray
     fixed: np.ndarray
-    drive: FloatArray
+    drive: FloatArray | Callable[[float], tuple[FloatArray, FloatArray]]
     travel: float
     increment: float
     rows: float
@@ -73,7 +82,16 @@ class Scene:
     resting: float = 0.0
     model: list[tuple[str, str]] = field(default_factory=list)
     parameters: dict[str, Any] = field(default_factory=dict)
-    measures: dict[str, Any] = field(default_factory=dict)
+    measures: dict[str, Callable[[FloatArray], float]] = field(default_factory=dict)
+    areas: dict[str, tuple[tuple[float, float], float]] = field(default_factory=dict)
+    edges: dict[str, EdgePoint] = field(default_factory=dict)
+    coarser: Callable[[], Scene] | None = None
+
+    def prescribed(self, travel: float) -> tuple[FloatArray, FloatArray]:
+        """Positions of the prescribed degrees of freedom at a travel, and their rate; (n_dofs,)."""
+        if callable(self.drive):
+            return self.drive(travel)
+        return self.x0 + travel * self.drive, self.drive
 
     @property
     def membrane(self) -> Membrane:

@@ -29,9 +29,9 @@ class Term(Protocol):
     name: str
     dofs: np.ndarray
 
-    def energy(self, x: FloatArray) -> FloatArray: ...  # noqa: D102
-    def gradient(self, x: FloatArray) -> FloatArray: ...  # noqa: D102
-    def hessian(self, x: FloatArray, convex: bool) -> FloatArray: ...  # noqa: D102
+    def energy(self, x: FloatArray) -> FloatArray: ...
+    def gradient(self, x: FloatArray) -> FloatArray: ...
+    def hessian(self, x: FloatArray, convex: bool) -> FloatArray: ...
 
 
 class Potential:
@@ -40,14 +40,12 @@ class Potential:
     Parameters
     ----------
     terms : list of Term
-    drive : (n_dofs,) array
-        Motion of the prescribed degrees of freedom per unit of travel.
     free : (n_dofs,) bool array
         Degrees of freedom to be solved for.
     """
 
-    def __init__(self, terms: list[Term], drive: FloatArray, free: np.ndarray) -> None:
-        self.terms, self.drive, self.free = terms, drive, free
+    def __init__(self, terms: list[Term], free: np.ndarray) -> None:
+        self.terms, self.free = terms, free
         number = np.where(free, np.cumsum(free) - 1, -1)
         n = int(free.sum())
         keys, self._kept = [], []
@@ -75,23 +73,32 @@ class Potential:
             g += np.bincount(term.dofs.ravel(), term.gradient(x).ravel(), minlength=len(x))
         return g
 
-    def hessian(self, x: FloatArray, convex: bool) -> tuple[FloatArray, FloatArray]:
-        """Upper triangle of the free Hessian in the fixed pattern, and its product with `drive`.
+    def hessian(
+        self, x: FloatArray, convex: bool, motion: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Upper triangle of the free Hessian in the fixed pattern, and its product with a motion.
+
+        Parameters
+        ----------
+        x : (n_dofs,) array, mm
+        convex : bool
+            Take the nearby positive semi-definite Hessian of each term.
+        motion : (n_dofs,) array, mm, optional
+            A motion of the prescribed degrees of freedom.
 
         Returns
         -------
         values : (nnz,) array, N/mm
             Data for `pattern` (upper triangle, CSR).
-        load : (n_free,) array, N/mm
-            Second derivative by the free degrees of freedom and the travel.
+        load : (n_free,) array, N
+            Change of the free forces under `motion`; zeros without one.
         """
         values = np.zeros(self.pattern.nnz)
         load = np.zeros(len(x))
         for term, kept, slots in zip(self.terms, self._kept, self._slots, strict=True):
             H = term.hessian(x, convex)
             values += np.bincount(slots, H.reshape(-1)[kept], minlength=len(values))
-            moved = self.drive[term.dofs]
-            if moved.any():
+            if motion is not None and (moved := motion[term.dofs]).any():
                 push = (H @ moved[:, :, None])[:, :, 0]
                 load += np.bincount(term.dofs.ravel(), push.ravel(), minlength=len(x))
         return values, load[self.free]

@@ -34,16 +34,13 @@ class Bending:
     ----------
     blank : Blank
     fabric : Fabric
-    clamps : dict of node number to direction (3,), optional
-        Nodes at which fibre lines are clamped, and the unit direction that the line keeps there
-        (pointing into the blank).
+    clamped : (n_nodes,) bool array, optional
+        Nodes in a clamp: lines that end there keep their flat direction.
     """
 
     name = "bending"
 
-    def __init__(
-        self, blank: Blank, fabric: Fabric, clamps: dict[int, FloatArray] | None = None
-    ) -> None:
+    def __init__(self, blank: Blank, fabric: Fabric, clamped: np.ndarray | None = None) -> None:
         n = len(blank.nodes)
         rows = np.zeros((n, 4, 5, 3))  # k_warp, k_weft, u, v as combinations of the five nodes
         constant = np.zeros((n, 4, 3))
@@ -75,15 +72,13 @@ class Bending:
                     slopes[side, at] = slopes[1 - side, at] * mirror
                     length[side, at] = length[1 - side, at]
                     known[side, at] = True
-            for node, direction in (clamps or {}).items():
+            if clamped is not None:
                 for side in (0, 1):
-                    if known[1 - side, node] and not known[side, node]:
-                        sign = 1.0 if side == 0 else -1.0
-                        slopes[side, node] = 0.0
-                        fixed[side, node] = sign * np.asarray(direction)
-                        # the half stencil: slopes half a segment apart
-                        length[side, node] = 0.0
-                        known[side, node] = True
+                    at = clamped & known[1 - side] & ~known[side]
+                    slopes[side, at] = 0.0
+                    fixed[side, at] = along
+                    length[side, at] = 0.0  # the slopes are half a segment apart
+                    known[side, at] = True
             both = known.all(0)
             h = np.where(both, 0.5 * length.sum(0), 1.0)
             rows[both, f] = ((slopes[1] - slopes[0]) / h[:, None, None])[both]
@@ -142,7 +137,8 @@ class Bending:
 
     def hessian(self, x: FloatArray, convex: bool) -> FloatArray:
         """Stiffness of each stencil, N/mm; with `convex` the part with κ's second derivative left
-        out (Gauss-Newton), which is positive semi-definite."""
+        out (Gauss-Newton), which is positive semi-definite.
+        """
         _, u, v, n, length, kappa, q, d = self._first_derivative(x)
         r, count = self.in_plane, len(u)
         weight = (1 - r) * self.stiffness

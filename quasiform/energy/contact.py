@@ -38,7 +38,9 @@ class Contact:
         self.name = f"contact with {tool.name}"
         self.tool = tool
         nodes = np.arange(len(blank.nodes))
-        self.dofs = np.column_stack([3 * nodes, 3 * nodes + 1, 3 * nodes + 2, 0 * nodes + height_dof])
+        self.dofs = np.column_stack(
+            [3 * nodes, 3 * nodes + 1, 3 * nodes + 2, 0 * nodes + height_dof]
+        )
         self.area = blank.node_areas
         self.offset = 0.5 * fabric.thickness
         self.compaction = fabric.compaction

@@ -90,7 +90,7 @@ class Friction:
         f = self.force(x)
         return np.column_stack([f, -f[:, 2]])
 
-    def hessian(self, x: FloatArray, convex: bool) -> FloatArray:  # noqa: ARG002 (convex anyway)
+    def hessian(self, x: FloatArray, convex: bool) -> FloatArray:
         """(n_nodes, 4, 4) stiffness, N/mm; positive semi-definite."""
         s, length = self._slide(x)
         n = self.normal

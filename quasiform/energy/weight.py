@@ -41,7 +41,7 @@ class SheetWeight:
         z, q = x[self.dofs].T
         return self.force[:, None] * np.column_stack([q, z])
 
-    def hessian(self, x: FloatArray, convex: bool) -> FloatArray:  # noqa: ARG002 (q is driven)
+    def hessian(self, x: FloatArray, convex: bool) -> FloatArray:
         """(n_nodes, 2, 2); only the mixed derivative by z and q, which is not a stiffness."""
         H = np.zeros((len(self.force), 2, 2))
         H[:, 0, 1] = H[:, 1, 0] = self.force
@@ -68,10 +68,10 @@ class ToolWeight:
         """(1,) energy, mJ."""
         return self.force * x[self.dofs[0]]
 
-    def gradient(self, x: FloatArray) -> FloatArray:  # noqa: ARG002 (constant)
+    def gradient(self, x: FloatArray) -> FloatArray:
         """(1, 1) weight, N."""
         return np.array([[self.force]])
 
-    def hessian(self, x: FloatArray, convex: bool) -> FloatArray:  # noqa: ARG002 (zero)
+    def hessian(self, x: FloatArray, convex: bool) -> FloatArray:
         """(1, 1, 1) zeros."""
         return np.zeros((1, 1, 1))

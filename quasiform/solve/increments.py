@@ -161,23 +161,28 @@ class _Run:
         equilibrium = self.equilibrium
         try:
             if self.method == "relaxation":
-                moved = self._solve(x + (target - s) * self.scene.drive)
+                moved = self._solve(self._pushed(x, target))
             else:
-                moved = self._solve(equilibrium.predict(x, target - s))
+                moved = self._solve(equilibrium.predict(x, target))
         except NotConvergedError as error:
+            equilibrium.travel = s
             self._refresh(x)
             if not rescue or self.method == "relaxation":
                 raise
             self.count("dynamic relaxation")
             try:
-                relaxed = relax(equilibrium, x + (target - s) * self.scene.drive, 1e-2, 5000)
-                moved = self._solve(relaxed)
+                moved = self._solve(relax(equilibrium, self._pushed(x, target), 1e-2, 5000))
             except NotConvergedError:
+                equilibrium.travel = s
                 self._refresh(x)
                 raise error from None
         self._commit(moved)
         self.increments += 1
         return moved
+
+    def _pushed(self, x: FloatArray, target: float) -> FloatArray:
+        self.equilibrium.travel = target
+        return x + self.equilibrium.motion_to(x, target)
 
     def _solve(self, x: FloatArray) -> FloatArray:
         if self.method == "relaxation":
@@ -202,9 +207,7 @@ class _Run:
         g = potential.gradient(x)
         self.force = self.equilibrium.force(g)
         self.residual = self.equilibrium.residual(g)
-        stored = float(
-            sum(t.energy(x).sum() for t in scene.terms if not isinstance(t, Friction))
-        )
+        stored = float(sum(t.energy(x).sum() for t in scene.terms if not isinstance(t, Friction)))
         rubbing = [(t.force(x), t.contact.relative(x)) for t in scene.frictions]
         if self._last is None:
             self._stored_at_start = stored
@@ -234,7 +237,7 @@ class _Run:
             scene=self.scene,
             states=states,
             reason=reason,
-            wall=wall,
+            wall_s=wall,
             linear_solves=self.equilibrium.linear_solves,
             linear_solver=self.equilibrium.solver.name,
             increments=self.increments,
@@ -242,4 +245,5 @@ class _Run:
             residual=self.equilibrium.residual(g, certified=True),
             energy_balance=abs(balance) / max(abs(self.work), 1e-12),
             negative_pivots=negative,
+            collapse=self.collapse,
         )

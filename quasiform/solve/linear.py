@@ -41,7 +41,9 @@ class LinearSolver(Protocol):
         ...
 
 
-def linear_solver(name: str, pattern: csr_array, points: FloatArray, rigid: FloatArray) -> LinearSolver:
+def linear_solver(
+    name: str, pattern: csr_array, points: FloatArray, rigid: FloatArray
+) -> LinearSolver:
     """Return the linear solver of that name for a fixed upper-triangular pattern.
 
     Parameters

@@ -18,7 +18,6 @@ from ..scene import Scene
 from .linear import LinearSolver, SingularMatrixError, linear_solver
 
 FloatArray = np.ndarray
-CNT=[0]
 
 
 class NotConvergedError(ArithmeticError):
@@ -42,6 +41,10 @@ class Equilibrium:
         Sum of the nodal force residuals relative to the driving force.
     convex : "on demand" or "always"
         Which tangent to use.
+    linear_solves, energies : int
+        Factorisations, and energies evaluated in line searches.
+    travel : float
+        Where the prescribed degrees of freedom are.
     """
 
     scene: Scene
@@ -50,13 +53,14 @@ class Equilibrium:
     convex: str = "on demand"
     linear_solves: int = 0
     energies: int = 0
+    travel: float = 0.0
     potential: Potential = field(init=False)
     solver: LinearSolver = field(init=False)
 
     def __post_init__(self) -> None:
         scene = self.scene
         free = ~scene.fixed
-        self.potential = Potential(scene.terms, scene.drive, free)
+        self.potential = Potential(scene.terms, free)
         points = np.full((len(scene.x0), 2), np.nan)
         points[: scene.n_nodal] = np.repeat(scene.blank.nodes, scene.dim, axis=0)
         self.solver = linear_solver(
@@ -65,7 +69,8 @@ class Equilibrium:
 
     def force(self, g: FloatArray) -> float:
         """Derivative of the potential by the travel, N (of the modelled share)."""
-        return float(self.scene.drive @ g)
+        _, rate = self.scene.prescribed(self.travel)
+        return float(np.where(self.scene.fixed, rate, 0.0) @ g)
 
     def residual(self, g: FloatArray, certified: bool = False) -> float:
         """Sum of the free nodal forces relative to the driving force.
@@ -87,13 +92,17 @@ class Equilibrium:
         X = self.scene.blank.nodes[size.argmax()]
         return f"{size.max():.2g} N at X = ({X[0]:.1f}, {X[1]:.1f}) mm"
 
-    def factor(self, x: FloatArray, convex: bool) -> tuple[int, FloatArray]:
-        """Factorise the tangent; number of negative pivots, and its product with the drive."""
-        values, load = self.potential.hessian(x, convex)
+    def factor(
+        self, x: FloatArray, convex: bool, motion: FloatArray | None = None
+    ) -> tuple[int, FloatArray]:
+        """Factorise the tangent; number of negative pivots, and its product with a motion."""
+        values, load = self.potential.hessian(x, convex, motion)
         self.linear_solves += 1
         return self.solver.factor(values), load
 
-    def factor_definite(self, x: FloatArray) -> tuple[bool, FloatArray]:
+    def factor_definite(
+        self, x: FloatArray, motion: FloatArray | None = None
+    ) -> tuple[bool, FloatArray]:
         """Factorise the exact tangent if it is positive definite, else the convex one.
 
         Returns
@@ -103,23 +112,29 @@ class Equilibrium:
         """
         if self.convex == "on demand" and self.solver.inertia:
             try:
-                negative, load = self.factor(x, convex=False)
+                negative, load = self.factor(x, False, motion)
                 if negative == 0:
                     return True, load
             except SingularMatrixError:
                 pass
-        _, load = self.factor(x, convex=True)
+        _, load = self.factor(x, True, motion)
         return False, load
 
-    def predict(self, x: FloatArray, step: float) -> FloatArray:
-        """Move the prescribed degrees of freedom by `step` of travel, the others along the tangent."""
-        _, load = self.factor_definite(x)
-        g = self.potential.gradient(x)
-        moved = x + step * self.scene.drive
-        moved[~self.scene.fixed] -= self.solver.solve(g[~self.scene.fixed] + step * load)
+    def predict(self, x: FloatArray, travel: float) -> FloatArray:
+        """Move the prescribed degrees of freedom to `travel` and the others along the tangent."""
+        motion = self.motion_to(x, travel)
+        _, load = self.factor_definite(x, motion)
+        free = ~self.scene.fixed
+        moved = x + motion
+        moved[free] -= self.solver.solve(self.potential.gradient(x)[free] + load)
+        self.travel = travel
         if np.isfinite(moved).all() and not self.turns_over(x, moved):
             return moved
-        return x + step * self.scene.drive
+        return x + motion
+
+    def motion_to(self, x: FloatArray, travel: float) -> FloatArray:
+        """(n_dofs,) motion of the prescribed degrees of freedom from x to their place at `travel`."""
+        return np.where(self.scene.fixed, self.scene.prescribed(travel)[0] - x, 0.0)
 
     def turns_over(self, x: FloatArray, trial: FloatArray) -> bool:
         """Whether a triangle is turned over between two states."""
@@ -183,7 +198,6 @@ class Equilibrium:
                 bent = trial.copy()
                 bent[free] -= self.solver.solve(self.potential.gradient(trial)[free])
                 if self._energy_at(x, bent) <= E + 1e-4 * alpha * slope + floor:
-                    CNT[0]+=1
                     return bent
             alpha *= 0.5
         else:

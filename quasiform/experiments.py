@@ -1,0 +1,453 @@
+"""Ready scenes: off-axis tension test, hemisphere forming, picture frame, cantilever."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from math import atan2, cos, degrees, radians, sin
+
+import numpy as np
+
+from . import geometry
+from .blank import Blank, rectangle
+from .checks import InputError, check_number
+from .energy.bending import Bending
+from .energy.contact import Contact
+from .energy.friction import Friction
+from .energy.membrane import Membrane
+from .energy.weight import SheetWeight, ToolWeight
+from .material import PRESETS, Fabric
+from .measure import mid_edges
+from .scene import Scene
+from .tool import Tool
+
+FloatArray = np.ndarray
+GRAVITY = 9.81  # m/s²
+
+
+def fabric_of(law: str | Fabric) -> Fabric:
+    """Return a `Fabric`: itself, a preset by name, or read from a TOML file.
+
+    Raises
+    ------
+    InputError
+    """
+    if isinstance(law, Fabric):
+        return law
+    if law not in PRESETS and str(law).endswith(".toml"):
+        return Fabric.load(law)
+    return Fabric.preset(law)
+
+
+def off_axis_tension(
+    angle: float = 45.0,
+    law: str | Fabric = "locking",
+    length: float = 320.0,
+    width: float = 160.0,
+    displacement: float = 80.0,
+    size: float = 10.0,
+) -> Scene:
+    """Off-axis tension test (Schäfer et al., Fig. 2 a) as a plane problem with rigid grips.
+
+    The grips are the lines x = ±length/2; the right one moves along x. Fibre lines run through the
+    grip corners, warp at -angle and weft at 90° - angle to the load, so that γ is positive.
+
+    Parameters
+    ----------
+    angle : float
+        Θ0, degrees, between load and warp.
+    law : str or Fabric
+        "locking", "best-fit", a TOML file or a `Fabric`.
+    length, width, displacement : float
+        l0, w0 and the largest grip displacement, mm.
+    size : float
+        Cell edge along the specimen's axes at 45°, mm: √2 times the spacing of the fibre lines.
+
+    Returns
+    -------
+    Scene
+
+    Raises
+    ------
+    InputError
+        For bad numbers, or an angle at which a fibre joins both grips.
+    """
+    fabric = fabric_of(law)
+    for name, value in (
+        ("length", length),
+        ("width", width),
+        ("displacement", displacement),
+        ("size", size),
+    ):
+        check_number(name, value)
+    low = degrees(atan2(width, length))
+    if not (isinstance(angle, int | float) and low < angle < 90.0 - low):
+        raise InputError(
+            f"angle must lie between {low:.1f} and {90 - low:.1f} degrees for {length:g} x "
+            f"{width:g} mm (elsewhere a fibre joins both grips), got {angle!r}"
+        )
+    if size > width:
+        raise InputError(f"size must not exceed the width {width:g} mm, got {size:g}")
+    blank = rectangle(length, width, size / np.sqrt(2.0), orientation=-angle)
+    x0 = blank.nodes.ravel().copy()
+    left = blank.nodes[:, 0] < -length / 2 + 1e-6 * size
+    right = blank.nodes[:, 0] > length / 2 - 1e-6 * size
+    drive = np.zeros(len(x0))
+    drive[0::2] = right
+    membrane = Membrane(blank, fabric, dim=2)
+    zones = off_axis_zones(blank, length, width, angle)
+    # the centre: inside the zone of full shear and near the middle of the specimen
+    band = min(
+        length * sin(radians(angle)) - width * cos(radians(angle)),
+        length * cos(radians(angle)) - width * sin(radians(angle)),
+    )
+    radius = min(width / 8, band / 2)
+    centre = zones["full"] & (np.linalg.norm(blank.centroids, axis=1) < radius)
+    if not centre.any():
+        near = np.linalg.norm(blank.centroids, axis=1)
+        centre = zones["full"] & (near <= near[zones["full"]].min() * (1 + 1e-9))
+    weights = np.where(centre, blank.areas, 0.0) / blank.areas[centre].sum()
+
+    def mean(quantity: int, x: FloatArray) -> float:
+        I4, _, I8 = membrane.invariants(x)
+        field = (np.degrees(membrane.shear_angle(x)), 0.5 * (I4 - 1), 0.5 * (I8 - 1))[quantity]
+        return float(weights @ field)
+
+    return Scene(
+        name=f"oat-{angle:g}",
+        blank=blank,
+        fabric=fabric,
+        dim=2,
+        terms=[membrane],
+        x0=x0,
+        fixed=np.repeat(left | right, 2),
+        drive=drive,
+        travel=float(displacement),
+        increment=5.0,
+        rows=5.0,
+        parameters={
+            "angle": angle,
+            "law": fabric.name,
+            "length": length,
+            "width": width,
+            "displacement": displacement,
+            "size": size,
+        },
+        measures={
+            "shear_angle_center_deg": partial(mean, 0),
+            "shear_angle_max_deg": lambda x: float(
+                np.degrees(np.abs(membrane.shear_angle(x)).max())
+            ),
+            "E11_center": partial(mean, 1),
+            "E22_center": partial(mean, 2),
+        },
+        model=[
+            ("plane problem", "no tools and no load out of the plane: two dofs a node, held flat"),
+            ("bending left out", "no curvature in a plane problem"),
+            ("contact and friction left out", "no tools"),
+            ("weight left out", "acts out of the plane"),
+        ],
+        coarser=lambda: off_axis_tension(angle, fabric, length, width, displacement, 2 * size),
+    )
+
+
+def off_axis_zones(
+    blank: Blank, length: float, width: float, angle: float
+) -> dict[str, np.ndarray]:
+    """Triangles of the zones of Schäfer et al., Fig. 2 a, by which of their fibres reach a grip.
+
+    Returns
+    -------
+    dict with bool arrays (n_triangles,)
+        "full" (no fibre is gripped), "warp free" and "weft free" (that family alone is free) and
+        "rigid" (both gripped).
+    """
+    c, s = cos(radians(angle)), sin(radians(angle))
+    # a warp line is free if it crosses both free edges: seen by its weft coordinate
+    warp_free = np.abs(blank.centroids @ blank.weft) < (length * s - width * c) / 2
+    weft_free = np.abs(blank.centroids @ blank.warp) < (length * c - width * s) / 2
+    return {
+        "full": warp_free & weft_free,
+        "warp free": warp_free & ~weft_free,
+        "weft free": weft_free & ~warp_free,
+        "rigid": ~warp_free & ~weft_free,
+    }
+
+
+def forming(
+    scene: str = "hemisphere",
+    orientation: float = 0.0,
+    law: str | Fabric = "locking",
+    size: float = 5.0,
+    travel: float | None = None,
+    symmetry: str = "auto",
+    turn: float = 0.0,
+) -> Scene:
+    """Forming test with a punch, a die and a blank holder that rests with its own weight (Fig. 4).
+
+    Parameters
+    ----------
+    scene : str
+        Name of a built-in geometry, or a TOML file of the same form.
+    orientation : float
+        Angle of the warp to x, degrees; outline and tools stay.
+    law : str or Fabric
+    size : float
+        Spacing of the fibre lines, mm.
+    travel : float, optional
+        Travel of the punch from first touch, mm; the geometry's own if not given.
+    symmetry : "auto" or "none"
+        Whether mirror planes of blank, fibres and tools are used.
+    turn : float
+        Turns the blank with its fibres about the punch axis, degrees.
+
+    Returns
+    -------
+    Scene
+
+    Raises
+    ------
+    InputError
+        For bad input, and for a fabric without bending stiffness: a sheet without it has no
+        wavelength for its wrinkles and no stiffness before it is stretched.
+    """
+    shape = geometry.load(scene)
+    fabric = replace(fabric_of(law), friction=shape.friction)
+    check_number("size", size)
+    for name, value in (("orientation", orientation), ("turn", turn)):
+        if not isinstance(value, int | float) or not np.isfinite(value):
+            raise InputError(f"{name} must be a number of degrees, got {value!r}")
+    if symmetry not in ("auto", "none"):
+        raise InputError(f"symmetry must be 'auto' or 'none', got {symmetry!r}")
+    goal = shape.travel if travel is None else check_number("travel", travel)
+    if goal > shape.travel:
+        raise InputError(
+            f"travel must not exceed {shape.travel:g} mm in this geometry, got {goal:g}"
+        )
+    if size > min(shape.length, shape.width) / 8:
+        raise InputError(
+            f"size must not exceed an eighth of the blank, {min(shape.length, shape.width) / 8:g} mm, "
+            f"got {size:g}"
+        )
+    if fabric.bending_warp == 0 or fabric.bending_weft == 0:
+        raise InputError(
+            "forming in space needs a bending stiffness: bending_warp or _weft is zero"
+        )
+
+    mirrored = symmetry == "auto" and orientation % 90 == 0 and turn == 0
+    mirror = ("x", "y") if mirrored else ()
+    blank = rectangle(
+        shape.length, shape.width, size, orientation, through=((0.0, 0.0),), mirror=mirror
+    )
+    if turn:
+        blank = blank.turned(turn)
+    share = 0.5 ** len(mirror)
+    n, t0 = len(blank.nodes), fabric.thickness
+    tools = [
+        Tool("punch", shape.punch, t0, "driven", shape.friction),
+        Tool("die", shape.die, 0.0, "fixed", shape.friction),
+        Tool("blank holder", shape.holder, t0, "free", shape.friction, shape.mass),
+    ]
+    contacts = [Contact(blank, fabric, tool, 3 * n + i) for i, tool in enumerate(tools)]
+    _, _, on_holder = contacts
+    x0 = np.zeros(3 * n + 3)
+    x0[: 3 * n].reshape(-1, 3)[:, :2] = blank.nodes
+    x0[3 * n :] = [tool.height for tool in tools]
+    # start at the equilibrium of the holder's weight: sheet and holder sunk in by as much
+    weight = shape.mass * GRAVITY * share
+    held = (
+        np.linalg.norm(blank.nodes, axis=1) > shape.holder.shape.radius + shape.holder.shape.fillet
+    )
+    sunk = on_holder.depth_under(weight, blank.node_areas[held].sum())
+    x0[2 : 3 * n : 3] = 0.5 * t0 - sunk
+    x0[3 * n + 2] = t0 - 2 * sunk
+
+    fixed = np.zeros(len(x0), dtype=bool)
+    fixed[3 * n : 3 * n + 2] = True
+    drive = np.zeros(len(x0))
+    drive[3 * n] = -1.0
+    for axis, plane in enumerate("xy"):
+        if plane in mirror:
+            fixed[axis : 3 * n : 3] |= np.abs(blank.nodes[:, axis]) < 1e-9
+    model = [("bending of warp and weft lines", "the sheet leaves its plane")]
+    if mirror:
+        model.append(("a quarter", "blank, fibres and tools are mirrored at x = 0 and y = 0"))
+    elif symmetry == "none":
+        model.append(("the whole blank", "symmetry is switched off"))
+    else:
+        model.append(("the whole blank", "the fibres are not mirrored at x = 0 and y = 0"))
+    model.append(("tools in closed form", "punch, die and blank holder have an exact distance"))
+    frictions = []
+    if shape.friction:
+        frictions = [Friction(contact, x0) for contact in contacts]
+    else:
+        model.append(("friction left out", "its coefficient is zero"))
+        if not mirror:  # nothing else holds the sheet in its plane
+            middle = np.linalg.norm(blank.nodes, axis=1).argmin()
+            beside = np.linalg.norm(blank.nodes - blank.warp * size, axis=1).argmin()
+            across = int(abs(blank.warp[1]) < abs(blank.warp[0]))
+            fixed[[3 * middle, 3 * middle + 1, 3 * beside + across]] = True
+            model.append(("middle of the sheet held in the plane", "no friction holds it"))
+    model.append(("weight of the sheet left out", "small beside the blank holder's"))
+    membrane = Membrane(blank, fabric, dim=3)
+    edges = mid_edges(blank, shape.length, shape.width, turn)
+
+    return Scene(
+        name=f"{shape.name}-{orientation:g}",
+        blank=blank,
+        fabric=fabric,
+        dim=3,
+        terms=[
+            membrane,
+            Bending(blank, fabric),
+            *contacts,
+            *frictions,
+            ToolWeight(shape.mass * share, 3 * n + 2),
+        ],
+        x0=x0,
+        fixed=fixed,
+        drive=drive,
+        travel=float(goal),
+        increment=5.0,
+        rows=5.0,
+        share=share,
+        resting=weight,
+        model=model,
+        parameters={
+            "scene": scene,
+            "orientation": orientation,
+            "law": fabric.name,
+            "size": size,
+            "travel": goal,
+            "symmetry": symmetry,
+            "turn": turn,
+            "friction": shape.friction,
+        },
+        measures={
+            "holder_force_N": lambda x: float(-on_holder.gradient(x)[:, 3].sum() / share),
+            "shear_angle_max_deg": lambda x: float(
+                np.degrees(np.abs(membrane.shear_angle(x)).max())
+            ),
+            "draw_in_mm": lambda x: float(
+                np.mean([edge.draw_in(x[: 3 * n].reshape(-1, 3)) for edge in edges.values()])
+            ),
+        },
+        areas=shape.areas,
+        edges=edges,
+        coarser=lambda: forming(scene, orientation, law, 2 * size, travel, symmetry, turn),
+    )
+
+
+def picture_frame(
+    side: float = 100.0,
+    shear: float = 50.0,
+    law: str | Fabric = "locking",
+    size: float = 10.0,
+) -> Scene:
+    """Picture frame: a square net, fibres along the sides, sheared by a hinged rigid frame.
+
+    The travel is the displacement d of the pulled corner, d = 2 L cos(π/4 - γ/2) - √2 L.
+
+    Parameters
+    ----------
+    side : float
+        L, mm.
+    shear : float
+        Shear angle at the end, degrees.
+    law : str or Fabric
+    size : float
+        Spacing of the fibre lines, mm.
+    """
+    fabric = fabric_of(law)
+    check_number("side", side)
+    check_number("size", size)
+    if not 0 < check_number("shear", shear) < 90:
+        raise InputError(f"shear must lie below 90 degrees, got {shear:g}")
+    blank = rectangle(side, side, size)
+    rim = np.zeros(len(blank.nodes), dtype=bool)
+    rim[np.unique(blank.mesh.facets[:, blank.mesh.boundary_facets()])] = True
+    diagonal = np.array([[1.0, 1.0], [-1.0, 1.0]]) / np.sqrt(2.0)  # pulled, and across
+
+    def frame(d: float) -> tuple[FloatArray, FloatArray]:
+        """Affine motion of the frame: the pulled diagonal grows, the other one shrinks."""
+        half = np.arccos((np.sqrt(2.0) * side + d) / (2.0 * side))  # π/4 - γ/2
+        stretch = np.sqrt(2.0) * np.array([np.cos(half), np.sin(half)])
+        rate = np.array([1.0, -1.0 / np.tan(half)]) / (np.sqrt(2.0) * side)
+        along = blank.nodes @ diagonal.T
+        return (along * stretch @ diagonal).ravel(), (along * rate @ diagonal).ravel()
+
+    gamma = radians(shear)
+    return Scene(
+        name="picture-frame",
+        blank=blank,
+        fabric=fabric,
+        dim=2,
+        terms=[Membrane(blank, fabric, dim=2)],
+        x0=blank.nodes.ravel().copy(),
+        fixed=np.repeat(rim, 2),
+        drive=frame,
+        travel=2.0 * side * cos(np.pi / 4 - gamma / 2) - np.sqrt(2.0) * side,
+        increment=5.0,
+        rows=5.0,
+        parameters={"side": side, "shear": shear, "law": fabric.name, "size": size},
+        model=[("plane problem", "held flat by the frame")],
+        coarser=lambda: picture_frame(side, shear, fabric, 2 * size),
+    )
+
+
+def cantilever(
+    length: float,
+    load: float,
+    width: float = 25.0,
+    law: str | Fabric = "locking",
+    size: float = 5.0,
+    family: str = "warp",
+) -> Scene:
+    """Strip clamped horizontally at one end, bending under its own weight (Peirce's test).
+
+    Parameters
+    ----------
+    length, width : float
+        Free length and width, mm.
+    load : float
+        Weight per area, N/mm²; its factor is raised from 0 to 1 as the travel.
+    law : str or Fabric
+    size : float
+        Spacing of the fibre lines, mm.
+    family : "warp" or "weft"
+        Fibres along the strip.
+    """
+    fabric = fabric_of(law)
+    for name, value in (("length", length), ("load", load), ("width", width), ("size", size)):
+        check_number(name, value)
+    if family not in ("warp", "weft"):
+        raise InputError(f"family must be 'warp' or 'weft', got {family!r}")
+    blank = rectangle(
+        length, width, size, 0.0 if family == "warp" else -90.0, centre=(length / 2, 0.0)
+    )
+    n = len(blank.nodes)
+    clamped = np.abs(blank.nodes[:, 0]) < 1e-9 * length
+    x0 = np.append(np.column_stack([blank.nodes, np.zeros(n)]).ravel(), 0.0)
+    fixed = np.append(np.repeat(clamped, 3), True)
+    drive = np.zeros(len(x0))
+    drive[-1] = 1.0
+    return Scene(
+        name=f"cantilever-{family}",
+        blank=blank,
+        fabric=fabric,
+        dim=3,
+        terms=[
+            Membrane(blank, fabric, dim=3),
+            Bending(blank, fabric, clamped),
+            SheetWeight(blank, load, 3 * n),
+        ],
+        x0=x0,
+        fixed=fixed,
+        drive=drive,
+        travel=1.0,
+        increment=0.25,
+        rows=0.25,
+        parameters={"length": length, "load": load, "width": width, "size": size, "family": family},
+        model=[("contact and friction left out", "no tools")],
+        coarser=lambda: cantilever(length, load, width, fabric, 2 * size, family),
+    )

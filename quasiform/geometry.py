@@ -1,0 +1,151 @@
+"""Dimensions of the forming tests, read from `geometries/*.toml`, each number with its standing."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from .checks import InputError, check_keys, check_number, suggestion
+from .tool import Flipped, RoundOpening, RoundPunch, Shape
+
+STANDINGS = ("measured", "stated", "exact", "peer", "inferred", "assumed")
+_PACKAGED = Path(__file__).parent / "geometries"
+FOLDER = _PACKAGED if _PACKAGED.is_dir() else Path(__file__).parent.parent / "geometries"
+_TABLES = {
+    "blank": ["length", "width"],
+    "punch": ["shape", "radius", "travel"],
+    "die": ["shape", "radius", "fillet"],
+    "holder": ["shape", "radius", "fillet", "mass"],
+    "friction": ["coefficient"],
+}
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """A forming test.
+
+    Parameters
+    ----------
+    name : str
+    length, width : float
+        Blank, mm, along x and y.
+    punch, die, holder : Shape
+        The holder's shape is already upside down.
+    travel : float
+        Travel of the punch from first touch, mm.
+    mass : float
+        Mass of the blank holder, kg.
+    friction : float
+        Coulomb coefficient of all tools.
+    areas : dict of name to (centre (2,), radius)
+        Discs in blank coordinates, mm.
+    standings : dict of "table.key" to standing
+    """
+
+    name: str
+    length: float
+    width: float
+    punch: Shape
+    die: Shape
+    holder: Shape
+    travel: float
+    mass: float
+    friction: float
+    areas: dict[str, tuple[tuple[float, float], float]]
+    standings: dict[str, str]
+
+
+def built_in() -> list[str]:
+    """Names of the geometries that come with the package."""
+    return sorted(path.stem for path in FOLDER.glob("*.toml"))
+
+
+def load(name: str) -> Geometry:
+    """Read a built-in geometry by name, or a TOML file of the same form.
+
+    Raises
+    ------
+    InputError
+        For an unknown name, an unreadable file, unknown keys and bad values: one line that names
+        file, table and key.
+    """
+    if name in built_in():
+        path = FOLDER / f"{name}.toml"
+    elif name.endswith(".toml"):
+        path = Path(name)
+    else:
+        raise InputError(f"unknown scene '{name}': {suggestion(name, built_in())}, or a .toml file")
+    try:
+        with path.open("rb") as file:
+            table = tomllib.load(file)
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InputError(f"{path}: {error}") from error
+    try:
+        return _geometry(table, path.stem)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def _geometry(table: dict[str, Any], name: str) -> Geometry:
+    check_keys(table, ["name", "areas", *_TABLES])
+    numbers: dict[str, float] = {}
+    standings: dict[str, str] = {}
+    for part, keys in _TABLES.items():
+        if not isinstance(table.get(part), dict):
+            raise InputError(f"table [{part}] missing")
+        check_keys(table[part], keys, part)
+        for key in keys:
+            if key not in table[part]:
+                raise InputError(f"[{part}] {key} missing")
+            if key != "shape":
+                where = f"{part}.{key}"
+                numbers[where], standings[where] = _number(table[part][key], where)
+    if "holder.radius" in numbers and numbers["holder.radius"] <= numbers["punch.radius"]:
+        raise InputError("[holder] radius must be larger than the punch's")
+    areas = {}
+    for key, area in table.get("areas", {}).items():
+        where = f"areas.{key}"
+        check_keys(area, ["centre", "radius", "unit", "standing"], where)
+        radius, standings[where] = _number(
+            {**area, "value": area.get("radius")}, where, ["centre", "radius"]
+        )
+        centre = area.get("centre")
+        if not (isinstance(centre, list) and len(centre) == 2):
+            raise InputError(f"[{where}] centre must be two numbers, got {centre!r}")
+        areas[key] = ((float(centre[0]), float(centre[1])), radius)
+    _shape(table, "punch", "round punch")
+    _shape(table, "die", "round opening")
+    _shape(table, "holder", "round opening")
+    return Geometry(
+        name=str(table.get("name", name)),
+        length=numbers["blank.length"],
+        width=numbers["blank.width"],
+        punch=RoundPunch(numbers["punch.radius"]),
+        die=RoundOpening(numbers["die.radius"], numbers["die.fillet"]),
+        holder=Flipped(RoundOpening(numbers["holder.radius"], numbers["holder.fillet"])),
+        travel=numbers["punch.travel"],
+        mass=numbers["holder.mass"],
+        friction=numbers["friction.coefficient"],
+        areas=areas,
+        standings=standings,
+    )
+
+
+def _number(entry: Any, where: str, also: list[str] | None = None) -> tuple[float, str]:
+    if not isinstance(entry, dict):
+        raise InputError(f"{where} = {entry!r}: expected {{ value, unit, standing }}")
+    check_keys(entry, ["value", "unit", "standing", *(also or [])], where)
+    value = check_number(where, entry.get("value"), zero_allowed=where == "friction.coefficient")
+    standing = entry.get("standing")
+    if standing not in STANDINGS:
+        raise InputError(
+            f"{where}: standing must be one of {', '.join(STANDINGS)}, got {standing!r}"
+        )
+    return float(value), standing
+
+
+def _shape(table: dict[str, Any], part: str, known: str) -> None:
+    if table[part]["shape"] != known:
+        raise InputError(f"[{part}] shape = {table[part]['shape']!r}: expected {known!r}")
