@@ -13,6 +13,7 @@ from .blank import Blank, rectangle
 from .checks import InputError
 from .experiments import cantilever, forming, off_axis_tension, picture_frame
 from .material import Fabric, ThreeStageLaw
+from .progress import progress
 from .result import Result
 from .scene import Scene
 from .solve import Progress, solve
@@ -31,6 +32,7 @@ __all__ = [
     "forming",
     "off_axis_tension",
     "picture_frame",
+    "progress",
     "rectangle",
     "solve",
 ]

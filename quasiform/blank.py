@@ -23,8 +23,11 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from skfem import Basis, ElementTriP1, MeshLine, MeshTri
 
+from .checks import InputError
+
 FloatArray = np.ndarray
 IntArray = np.ndarray
+MOST_TRIANGLES = 2_000_000
 
 
 @dataclass(frozen=True)
@@ -172,7 +175,17 @@ def rectangle(
         Further points that shall lie on a warp and a weft line.
     mirror : tuple of "x" and "y"
         Mesh only the positive side of the planes x = 0, y = 0 (through the centre).
+
+    Raises
+    ------
+    InputError
+        If that would be more than two million triangles.
     """
+    if not 2 * length * width < MOST_TRIANGLES * size**2:
+        raise InputError(
+            f"size {size:g} mm on {length:g} x {width:g} mm makes more than "
+            f"{MOST_TRIANGLES:.0e} triangles: choose a larger size"
+        )
     R = rotation(orientation)
     x0 = -length / 2 * ("x" not in mirror)
     y0 = -width / 2 * ("y" not in mirror)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
-from math import isfinite
 from typing import Any
 
 
@@ -14,7 +13,8 @@ class InputError(ValueError):
 
 def check_number(name: str, value: Any, *, zero_allowed: bool = False) -> float:
     """Return `value` if it is a finite positive number, else raise InputError naming it."""
-    number = isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    number = number and abs(value) < 1e100  # refuses nan and inf too
     if not number or value < 0 or (value == 0 and not zero_allowed):
         expected = "a number of at least zero" if zero_allowed else "a positive number"
         raise InputError(f"{name} must be {expected}, got {value!r}")

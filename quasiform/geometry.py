@@ -80,7 +80,9 @@ def load(name: str) -> Geometry:
     try:
         with path.open("rb") as file:
             table = tomllib.load(file)
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}") from error
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise InputError(f"{path}: {error}") from error
     try:
         return _geometry(table, path.stem)
@@ -105,15 +107,20 @@ def _geometry(table: dict[str, Any], name: str) -> Geometry:
     if "holder.radius" in numbers and numbers["holder.radius"] <= numbers["punch.radius"]:
         raise InputError("[holder] radius must be larger than the punch's")
     areas = {}
+    if not isinstance(table.get("areas", {}), dict):
+        raise InputError("areas: expected a table [areas]")
     for key, area in table.get("areas", {}).items():
         where = f"areas.{key}"
+        if not isinstance(area, dict):
+            raise InputError(f"{where} = {area!r}: expected {{ centre, radius, unit, standing }}")
         check_keys(area, ["centre", "radius", "unit", "standing"], where)
-        radius, standings[where] = _number(
-            {**area, "value": area.get("radius")}, where, ["centre", "radius"]
-        )
+        radius = check_number(f"{where}.radius", area.get("radius"))
+        standings[where] = _standing(area, where)
         centre = area.get("centre")
-        if not (isinstance(centre, list) and len(centre) == 2):
-            raise InputError(f"[{where}] centre must be two numbers, got {centre!r}")
+        if not (
+            isinstance(centre, list) and [type(c) in (int, float) for c in centre] == [True] * 2
+        ):
+            raise InputError(f"{where}: centre must be two numbers, got {centre!r}")
         areas[key] = ((float(centre[0]), float(centre[1])), radius)
     _shape(table, "punch", "round punch")
     _shape(table, "die", "round opening")
@@ -133,17 +140,21 @@ def _geometry(table: dict[str, Any], name: str) -> Geometry:
     )
 
 
-def _number(entry: Any, where: str, also: list[str] | None = None) -> tuple[float, str]:
+def _number(entry: Any, where: str) -> tuple[float, str]:
     if not isinstance(entry, dict):
         raise InputError(f"{where} = {entry!r}: expected {{ value, unit, standing }}")
-    check_keys(entry, ["value", "unit", "standing", *(also or [])], where)
+    check_keys(entry, ["value", "unit", "standing"], where)
     value = check_number(where, entry.get("value"), zero_allowed=where == "friction.coefficient")
+    return float(value), _standing(entry, where)
+
+
+def _standing(entry: dict[str, Any], where: str) -> str:
     standing = entry.get("standing")
     if standing not in STANDINGS:
         raise InputError(
             f"{where}: standing must be one of {', '.join(STANDINGS)}, got {standing!r}"
         )
-    return float(value), standing
+    return standing
 
 
 def _shape(table: dict[str, Any], part: str, known: str) -> None:

@@ -239,7 +239,9 @@ class Fabric:
         try:
             with open(path, "rb") as file:
                 table = tomllib.load(file)
-        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        except OSError as error:
+            raise InputError(f"{path}: {error.strerror}") from error
+        except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
             raise InputError(f"{path}: {error}") from error
         try:
             return _fabric(table)

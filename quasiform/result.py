@@ -15,12 +15,11 @@ import meshio
 import numpy as np
 
 from .blank import Blank
-from .checks import InputError
+from .files import replaced
 from .measure import disc, percentile
 from .scene import Scene
 
 FloatArray = np.ndarray
-COLLAPSE = np.radians(85.0)
 CERTIFIED_RESIDUAL = 1e-3
 CERTIFIED_BALANCE = 1e-2
 CERTIFIED_PENETRATION = 0.03  # of the thickness
@@ -62,7 +61,8 @@ class Result:
     collapse : dict or None
         Where and when a triangle first passed 85 degrees or turned over.
     estimate : dict
-        `shear_angle_deg` and `force_N`: differences between this mesh and one twice as coarse.
+        `shear_angle_deg` (p99) and `force_N`: differences between this mesh and one twice as
+        coarse, which at first-order convergence is the error of this one; None if not estimated.
     """
 
     scene: Scene
@@ -176,14 +176,14 @@ class Result:
         return {name: edge.draw_in(positions) for name, edge in self.scene.edges.items()}
 
     @property
-    def areas(self) -> dict[str, float]:
-        """Mean |shear angle| of each named area at the end, degrees."""
-        means = {}
+    def areas(self) -> dict[str, float | None]:
+        """Mean |shear angle| of each named area at the end, degrees; None without a triangle."""
+        means: dict[str, float | None] = {}
         for name, (centre, radius) in self.scene.areas.items():
             inside = disc(self.blank, centre, radius)
             weight = self.blank.areas[inside]
             gamma = np.abs(self.shear_angle[inside])
-            means[name] = float(weight @ gamma / weight.sum()) if inside.any() else float("nan")
+            means[name] = float(weight @ gamma / weight.sum()) if inside.any() else None
         return means
 
     @property
@@ -205,6 +205,19 @@ class Result:
         if self.collapse:
             doubts.append(f"collapsed from {self.collapse['travel_mm']:.4g} mm on")
         return "; ".join(doubts) if doubts else True
+
+    def compare_with_coarser(self, coarse: Result) -> None:
+        """Set `estimate` from the same scene on a coarser mesh, if that reached the same travel."""
+        if coarse.reason or self.reason:
+            return
+        p99 = [
+            percentile(np.abs(result.shear_angle), result.blank.areas, 0.99)
+            for result in (self, coarse)
+        ]
+        self.estimate = {
+            "shear_angle_deg": abs(p99[0] - p99[1]),
+            "force_N": abs(self.force - coarse.force),
+        }
 
     def summary(self) -> dict[str, Any]:
         """Contents of `summary.json`."""
@@ -265,8 +278,17 @@ class Result:
         InputError
             If the folder holds a result already and `force` is not set, or cannot be written.
         """
-        folder = prepare_folder(out, force=force)
-        _write_json(folder / "summary.json", self.summary())
+        with replaced(out, force=force) as folder:
+            self._write(folder)
+        if pictures:  # last: the numbers of a long run shall not depend on them
+            from .plot import save_pictures
+
+            save_pictures(self, Path(out))
+        return Path(out)
+
+    def _write(self, folder: Path) -> None:
+        summary = json.dumps(self.summary(), indent=2, allow_nan=False)
+        (folder / "summary.json").write_text(summary + "\n", encoding="utf-8")
         with (folder / "history.csv").open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
             history = self.history
@@ -281,11 +303,6 @@ class Result:
             ET.SubElement(series, "DataSet", timestep=f"{state.travel:.8g}", part="0", file=name)
         ET.ElementTree(collection).write(folder / "result.pvd", xml_declaration=True)
         self._mesh(-1).write(folder / "result.vtu")
-        if pictures:
-            from .plot import save_pictures
-
-            save_pictures(self, folder)
-        return folder
 
     def _mesh(self, state: int) -> meshio.Mesh:
         cells = {name: [values] for name, values in self.cell_fields(state).items()}
@@ -297,41 +314,9 @@ class Result:
         )
 
 
-RESULT_FILES = ("summary.json", "history.csv", "result.vtu", "result.pvd")
-
-
-def prepare_folder(out: str | Path, *, force: bool = False) -> Path:
-    """Make the folder of a result; refuse one that holds a result already.
-
-    Raises
-    ------
-    InputError
-    """
-    folder = Path(out)
-    held = [name for name in RESULT_FILES if (folder / name).exists()]
-    if held and not force:
-        raise InputError(
-            f"{folder} holds a result already ({held[0]}): choose another or use --force"
-        )
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        probe = folder / ".writable"
-        probe.touch()
-        probe.unlink()
-    except OSError as error:
-        raise InputError(f"cannot write to {folder}: {error.strerror}") from error
-    for old in folder.glob("increment_*.vtu"):
-        old.unlink()
-    return folder
-
-
 def package_version() -> str:
     """Version of the installed package."""
     try:
         return version("quasiform")
     except PackageNotFoundError:
         return "not installed"
-
-
-def _write_json(path: Path, content: dict[str, Any]) -> None:
-    path.write_text(json.dumps(content, indent=2, allow_nan=True) + "\n", encoding="utf-8")

@@ -21,6 +21,7 @@ from .material import Fabric
 from .measure import EdgePoint
 
 FloatArray = np.ndarray
+COLLAPSE = np.radians(85.0)
 
 
 @dataclass
@@ -92,6 +93,27 @@ class Scene:
         if callable(self.drive):
             return self.drive(travel)
         return self.x0 + travel * self.drive, self.drive
+
+    def collapsed(self, x: FloatArray, travel: float) -> dict[str, Any] | None:
+        """Where a triangle is sheared beyond 85 degrees or turned over, or None.
+
+        Returns
+        -------
+        dict with `travel_mm`, `at` (flat position, mm), `shear_angle_deg` and `triangles` (count)
+        """
+        gamma = np.abs(self.membrane.shear_angle(x))
+        bad = gamma > COLLAPSE
+        if self.dim == 2:
+            bad |= self.membrane.normals(x)[:, 0] <= 0.0
+        if not bad.any():
+            return None
+        worst = np.where(bad, gamma, -1.0).argmax()
+        return {
+            "travel_mm": travel,
+            "at": self.blank.centroids[worst].tolist(),
+            "shear_angle_deg": float(np.degrees(gamma[worst])),
+            "triangles": int(bad.sum()),
+        }
 
     @property
     def membrane(self) -> Membrane:

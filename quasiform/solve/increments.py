@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Literal
 
@@ -46,6 +47,7 @@ def solve(
     linear: str = "auto",
     tolerance: float = 1e-4,
     convex: Literal["on demand", "always"] = "on demand",
+    estimate: bool = True,
 ) -> Result:
     """Follow the travel of a scene to its end.
 
@@ -65,6 +67,9 @@ def solve(
         Sum of the nodal residuals relative to the driving force.
     convex : "on demand" or "always"
         When the convex tangent takes the place of the exact one.
+    estimate : bool
+        Solve the scene on a mesh twice as coarse too, where it can be built; the differences are
+        the error estimate.
 
     Returns
     -------
@@ -94,7 +99,8 @@ def solve(
         x, reason = scene.x0, f"at the start: {error}"
     run.account(x, 0.0)
     states.append(run.state(x, 0.0))
-    s, step = 0.0, largest / 16  # the first response is the most curved
+    # the first response is the most curved
+    s, step = 0.0, largest / 16 if method == "newton" else largest
     while not reason and s < scene.travel * (1 - 1e-12):
         goal = min(rows * np.floor(s / rows * (1 + 1e-12) + 1), scene.travel)
         target = goal if s + step * (1 + 1e-6) >= goal else s + step
@@ -107,6 +113,9 @@ def solve(
             step = max(0.5 * min(step, target - s), shortest)
             run.count("shorter step")
             continue
+        except KeyboardInterrupt:
+            reason = f"interrupted between {s:.4g} and {target:.4g} of {scene.travel:.4g}"
+            break
         run.account(x, target)
         s = target
         if equilibrium.linear_solves - before <= 30:
@@ -127,7 +136,14 @@ def solve(
             )
     if states[-1].travel < s:
         states.append(run.state(x, s))
-    return run.result(states, reason, time.perf_counter() - clock)
+    result = run.result(states, reason, time.perf_counter() - clock)
+    if estimate and not reason and scene.coarser:
+        with suppress(InputError):  # too coarse to be built
+            coarse = solve(
+                scene.coarser(), None, increment, method, linear, tolerance, convex, estimate=False
+            )
+            result.compare_with_coarser(coarse)
+    return result
 
 
 class _Run:
@@ -152,7 +168,7 @@ class _Run:
         """Equilibrium before any travel (a holder settling on the sheet)."""
         x = self.scene.x0.copy()
         if self.scene.resting:
-            x = self._solve(x)
+            x = self._relax(x, 0.0) if self.method == "relaxation" else self._solve(x)
             self._commit(x)
         return x
 
@@ -161,41 +177,51 @@ class _Run:
         equilibrium = self.equilibrium
         try:
             if self.method == "relaxation":
-                moved = self._solve(self._pushed(x, target))
+                moved = self._relax(x, target)
             else:
                 moved = self._solve(equilibrium.predict(x, target))
         except NotConvergedError as error:
-            equilibrium.travel = s
-            self._refresh(x)
+            self._back_to(x, s)
             if not rescue or self.method == "relaxation":
                 raise
             self.count("dynamic relaxation")
             try:
-                moved = self._solve(relax(equilibrium, self._pushed(x, target), 1e-2, 5000))
+                moved = self._solve(self._relax(x, target, 1e-2, 5000))
             except NotConvergedError:
-                equilibrium.travel = s
-                self._refresh(x)
+                self._back_to(x, s)
                 raise error from None
         self._commit(moved)
         self.increments += 1
         return moved
 
-    def _pushed(self, x: FloatArray, target: float) -> FloatArray:
+    def _relax(self, x: FloatArray, target: float, *limits: float) -> FloatArray:
         self.equilibrium.travel = target
-        return x + self.equilibrium.motion_to(x, target)
+        return relax(self.equilibrium, x, self.equilibrium.motion_to(x, target), *limits)
 
     def _solve(self, x: FloatArray) -> FloatArray:
-        if self.method == "relaxation":
-            return relax(self.equilibrium, x)
         return self._leave_saddles(self.equilibrium.settle(x))
 
-    def _leave_saddles(self, x: FloatArray, tries: int = 4) -> FloatArray:
-        """Follow negative curvature down until the exact tangent is positive definite."""
-        return x
-
-    def _refresh(self, x: FloatArray) -> None:
+    def _back_to(self, x: FloatArray, s: float) -> None:
+        """Undo what a failed increment has lagged."""
+        self.equilibrium.travel = s
         for term in self.scene.frictions:
             term.refresh(x)
+
+    def _leave_saddles(self, x: FloatArray, tries: int = 3) -> FloatArray:
+        """Follow negative curvature down until the exact tangent is positive definite.
+
+        After `tries` the saddle is kept; the certificate tells.
+        """
+        equilibrium = self.equilibrium
+        if not equilibrium.solver.inertia:
+            return x
+        for _ in range(tries):
+            negative, _ = equilibrium.factor(x, convex=False)
+            if not negative:
+                break
+            self.count("saddle left")
+            x = equilibrium.settle(equilibrium.downhill(x))
+        return x
 
     def _commit(self, x: FloatArray) -> None:
         for term in self.scene.frictions:
@@ -219,6 +245,8 @@ class _Run:
         self._stored = stored
         self._last = self.force, rubbing
         self.driven = s
+        if self.collapse is None:
+            self.collapse = scene.collapsed(x, s)
 
     def state(self, x: FloatArray, s: float) -> State:
         measures = {name: measure(x) for name, measure in self.scene.measures.items()}

@@ -56,6 +56,7 @@ class Equilibrium:
     travel: float = 0.0
     potential: Potential = field(init=False)
     solver: LinearSolver = field(init=False)
+    _factored: tuple[FloatArray, bool, int] | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
         scene = self.scene
@@ -95,10 +96,17 @@ class Equilibrium:
     def factor(
         self, x: FloatArray, convex: bool, motion: FloatArray | None = None
     ) -> tuple[int, FloatArray]:
-        """Factorise the tangent; number of negative pivots, and its product with a motion."""
+        """Factorise the tangent; number of negative pivots, and its product with a motion.
+
+        The factor of an accepted state, made for its certificate, serves the next prediction too.
+        """
         values, load = self.potential.hessian(x, convex, motion)
-        self.linear_solves += 1
-        return self.solver.factor(values), load
+        known = self._factored
+        if known is None or known[1] != convex or not np.array_equal(known[0], x):
+            self._factored = None
+            self.linear_solves += 1
+            self._factored = x.copy(), convex, self.solver.factor(values)
+        return self._factored[2], load
 
     def factor_definite(
         self, x: FloatArray, motion: FloatArray | None = None
@@ -141,7 +149,7 @@ class Equilibrium:
         membrane = self.scene.membrane
         return bool(((membrane.normals(x) * membrane.normals(trial)).sum(1) <= 0).any())
 
-    def minimise(self, x: FloatArray, max_iterations: int = 60) -> FloatArray:
+    def minimise(self, x: FloatArray, max_iterations: int = 120) -> FloatArray:
         """Newton iterations with the lagged values as they are.
 
         Raises
@@ -180,40 +188,20 @@ class Equilibrium:
         if not np.isfinite(slope) or slope >= 0:
             raise NotConvergedError("Newton's direction is no descent direction", x, residual)
         E = self.potential.energy(x)
-        self.energies += 1
-        free = ~self.scene.fixed
         floor = 1e-12 * (abs(E) + self.scene.resting + 1e-6)
-        step = self.scene.positions(d)
-        longest = np.linalg.norm(step, axis=1).max()
-        longest_alpha = 3.0 * self.scene.blank.size / max(longest, 1e-300)
-        alpha = min(1.0, longest_alpha)
+        longest = np.linalg.norm(self.scene.positions(d), axis=1).max()
+        alpha = min(1.0, 3.0 * self.scene.blank.size / max(longest, 1e-300))
         for _ in range(40):
             trial = x + alpha * d
-            best = self._energy_at(x, trial)
-            if best <= E + 1e-4 * alpha * slope + floor:
-                break
-            # stiff fibres turn the valley: a second-order correction with the same factor
-            # takes the stretch out again (the remedy for Maratos's effect)
-            if np.isfinite(best):
-                bent = trial.copy()
-                bent[free] -= self.solver.solve(self.potential.gradient(trial)[free])
-                if self._energy_at(x, bent) <= E + 1e-4 * alpha * slope + floor:
-                    return bent
+            if self._energy_at(x, trial) <= E + 1e-4 * alpha * slope + floor:
+                return trial
             alpha *= 0.5
-        else:
-            raise NotConvergedError(
-                f"no descent along Newton's direction: residual {residual:.1e} of the driving "
-                f"force, largest {self.worst(g)}",
-                x,
-                residual,
-            )
-        # where the convex tangent is much too stiff the energy falls almost linearly: go on
-        while best < E + 0.75 * alpha * slope and 2 * alpha <= longest_alpha:
-            further = self._energy_at(x, x + 2 * alpha * d)
-            if further >= best:
-                break
-            alpha, best = 2 * alpha, further
-        return x + alpha * d
+        raise NotConvergedError(
+            f"no descent along Newton's direction: residual {residual:.1e} of the driving force, "
+            f"largest {self.worst(g)}",
+            x,
+            residual,
+        )
 
     def _energy_at(self, x: FloatArray, trial: FloatArray) -> float:
         """Energy of a trial state; infinite where a triangle has been turned over since x."""
@@ -235,6 +223,7 @@ class Equilibrium:
                 return x
             for term in self.scene.frictions:
                 term.refresh(x)
+            self._factored = None
             residual = self.residual(self.potential.gradient(x))
             if residual < 3 * self.tolerance:
                 return x
@@ -242,16 +231,25 @@ class Equilibrium:
             f"friction does not settle in {passes} passes: residual {residual:.1e}", x, residual
         )
 
-    def negative_direction(self) -> FloatArray:
-        """Lowest eigenvector of the last factorised exact tangent, as a motion of the scene."""
+    def downhill(self, x: FloatArray) -> FloatArray:
+        """Leave a saddle along the weakest unstable mode of the last factorised exact tangent.
+
+        The mode is followed, on the side on which the energy falls, as far as it goes on falling.
+        """
         n = self.potential.pattern.shape[0]
         inverse = LinearOperator((n, n), matvec=self.solver.solve, dtype=float)
-        # the most negative eigenvalue of the inverse belongs to the weakest unstable mode
         start = np.random.default_rng(0).normal(size=n)
+        # the most negative eigenvalue of the inverse belongs to the weakest unstable mode
         _, modes = eigsh(inverse, k=1, which="SA", v0=start, tol=1e-2)
-        d = np.zeros(len(self.scene.x0))
+        d = np.zeros_like(x)
         d[~self.scene.fixed] = modes[:, 0]
-        return d
+        d *= 1e-3 * self.scene.blank.size / np.abs(self.scene.positions(d)).max()
+        if self._energy_at(x, x - d) < self._energy_at(x, x + d):
+            d = -d
+        best = self.potential.energy(x)
+        while (energy := self._energy_at(x, x + 2 * d)) < best:
+            d, best = 2 * d, energy
+        return x + d
 
 
 def _rigid_motions(scene: Scene) -> FloatArray:

@@ -17,22 +17,26 @@ from scipy.sparse import csr_array
 from .newton import Equilibrium, NotConvergedError
 
 FloatArray = np.ndarray
+RAMP = 400  # iterations
 
 
 def relax(
     equilibrium: Equilibrium,
     x: FloatArray,
+    motion: FloatArray,
     tolerance: float | None = None,
     max_iterations: int = 100_000,
     refresh_every: int = 200,
 ) -> FloatArray:
-    """Relax a state to equilibrium, the prescribed degrees of freedom held.
+    """Relax a state to equilibrium after a motion of the prescribed degrees of freedom.
 
     Parameters
     ----------
     equilibrium : Equilibrium
     x : (n_dofs,) array
         Start.
+    motion : (n_dofs,) array
+        Motion of the prescribed degrees of freedom, spread over the first `RAMP` iterations.
     tolerance : float, optional
         Residual relative to the driving force; that of `equilibrium` if not given.
     max_iterations : int
@@ -52,15 +56,19 @@ def relax(
     free = ~scene.fixed
     v = np.zeros_like(x)
     kinetic_before = 0.0
+    ramp = RAMP if motion.any() else 0
     for iteration in range(max_iterations):
-        if iteration % refresh_every == 0:
+        if iteration < ramp:
+            x = x + motion / ramp
+        if iteration % (refresh_every if iteration >= ramp else RAMP // 20) == 0:
             mass = _masses(equilibrium, x)
             for term in scene.frictions:
                 term.refresh(x)
         g = potential.gradient(x)
         residual = equilibrium.residual(g)
         # a residual counts with refreshed friction only
-        if residual < tolerance and (not scene.frictions or iteration % refresh_every == 0):
+        settled = not scene.frictions or iteration % refresh_every == 0
+        if residual < tolerance and settled and iteration >= ramp:
             return x
         a = np.where(free, -g / mass, 0.0)
         v_next = v + a if v.any() else 0.5 * a

@@ -1,0 +1,299 @@
+"""The command line: arguments to a scene, a scene to a result, a result to its folder.
+
+Exit status: 0 the goal was reached; 2 wrong input, with one line; 3 the run ended early.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from itertools import count
+from math import isfinite
+from pathlib import Path
+from typing import Any, NoReturn
+
+from .checks import InputError, check_number, suggestion
+from .experiments import forming, off_axis_tension
+from .files import FILES, INCREMENTS, check_folder
+from .geometry import built_in
+from .material import PRESETS
+from .progress import LiveProgress
+from .result import Result, package_version
+from .scene import Scene
+from .solve import solve
+from .solve.linear import NAMES as LINEAR_SOLVERS
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line; return the exit status."""
+    try:
+        return _run(_arguments(sys.argv[1:] if argv is None else argv))
+    except InputError as error:
+        print("quasiform:", " ".join(str(error).split()), file=sys.stderr)
+        return 2
+    except MemoryError:
+        print("quasiform: not enough memory: choose a larger --size", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("quasiform: interrupted: no result was written", file=sys.stderr)
+        return 3
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    scene = arguments.scene_of(arguments)
+    if arguments.dry_run:
+        _say(_describe(scene))
+        return 0
+    case = re.sub(r"[^\w.+-]+", "-", scene.name).lstrip(".-") or "result"
+    folder = check_folder(arguments.out or _unused(case), force=arguments.force)
+    _say(f"writing to {folder}")
+    _say(_describe(scene))
+    with LiveProgress(scene.travel) as callback:
+        result = solve(scene, callback, arguments.increment, linear=arguments.linear)
+    result.save(folder, force=arguments.force)
+    _say(_report(result))
+    _say(f"files in {folder}: {', '.join(FILES)}, {len(result.states)} {INCREMENTS}")
+    return 0 if result.status == "completed" else 3
+
+
+# Arguments
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser whose errors are one line, told by `main`."""
+
+    def error(self, message: str) -> NoReturn:
+        raise InputError(message.removeprefix("argument "))
+
+
+def _arguments(argv: Sequence[str]) -> argparse.Namespace:
+    parser = _Parser(
+        prog="quasiform",
+        description="Implicit, quasi-static forming of dry 0°/90° biaxial non-crimp fabrics.",
+        epilog="Lengths in mm, forces in N, angles in degrees. "
+        "Exit status: 0 completed, 2 wrong input, 3 ended early.",
+        allow_abbrev=False,
+    )
+    parser.add_argument("--version", action="version", version=f"quasiform {package_version()}")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND")
+    _add_oat(commands)
+    _add_form(commands)
+    # the options before a command take no value, so the first word without a dash is the command
+    command = next((word for word in argv if not word.startswith("-")), None)
+    if command is not None and command not in commands.choices:
+        raise InputError(f"unknown command '{command}': {suggestion(command, commands.choices)}")
+    arguments, unknown = parser.parse_known_args(argv)
+    if arguments.command is None:
+        raise InputError(f"expected a command: {' or '.join(commands.choices)} (see --help)")
+    for word in unknown:
+        if not word.startswith("-"):
+            raise InputError(f"unexpected argument '{word}'")
+        option = word.split("=")[0]
+        known = re.findall(r"--[a-z-]+", commands.choices[arguments.command].format_usage())
+        raise InputError(f"unknown option '{option}': {suggestion(option, known)}")
+    return arguments
+
+
+def _add_oat(commands: Any) -> None:
+    parser = commands.add_parser(
+        "oat",
+        help="off-axis tension test",
+        description="Off-axis tension test of a strip, 0°/90° fibres turned against the load.",
+        allow_abbrev=False,
+    )
+    _add_number(parser, "--angle", 45.0, "DEG", "angle between load and warp", _degrees)
+    _add_law(parser)
+    _add_number(parser, "--length", 320.0, "MM", "free length of the specimen")
+    _add_number(parser, "--width", 160.0, "MM", "width of the specimen")
+    _add_number(parser, "--displacement", 80.0, "MM", "displacement of the grip at the end")
+    _add_number(parser, "--size", 10.0, "MM", "cell edge along the specimen's axes at 45°")
+    _add_common(parser)
+    parser.set_defaults(
+        scene_of=lambda given: off_axis_tension(
+            given.angle, given.law, given.length, given.width, given.displacement, given.size
+        )
+    )
+
+
+def _add_form(commands: Any) -> None:
+    parser = commands.add_parser(
+        "form",
+        help="forming with punch, die and blank holder",
+        description="Forming test with a punch, a die and a blank holder.",
+        allow_abbrev=False,
+    )
+    parser.add_argument("scene", metavar="SCENE", help=f"{', '.join(built_in())} or FILE.toml")
+    _add_number(parser, "--orientation", 0.0, "DEG", "angle of the warp to x", _degrees)
+    _add_law(parser)
+    _add_number(parser, "--size", 5.0, "MM", "spacing of the fibre lines")
+    parser.add_argument(
+        "--travel", type=_positive, metavar="MM", help="travel of the punch (the scene's own)"
+    )
+    parser.add_argument(
+        "--symmetry",
+        type=_one_of("auto", "none"),
+        default="auto",
+        metavar="auto|none",
+        help="model a quarter where everything is mirrored, or always the whole (auto)",
+    )
+    _add_common(parser)
+    parser.set_defaults(
+        scene_of=lambda given: forming(
+            given.scene, given.orientation, given.law, given.size, given.travel, given.symmetry
+        )
+    )
+
+
+def _add_common(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--increment",
+        type=_positive,
+        metavar="MM",
+        help="travel of an increment (chosen by the program)",
+    )
+    parser.add_argument(
+        "--out",
+        type=_path,
+        metavar="DIR",
+        help="folder of the result (a new one named after the case)",
+    )
+    parser.add_argument("--force", action="store_true", help="replace the result in --out")
+    parser.add_argument(
+        "--dry-run", action="store_true", help="print the model; solve and write nothing"
+    )
+    parser.add_argument(
+        "--linear",
+        type=_one_of(*LINEAR_SOLVERS),
+        default="auto",
+        metavar="|".join(LINEAR_SOLVERS),
+        help="advanced: the linear solver (auto)",
+    )
+
+
+def _add_law(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--law",
+        default="locking",
+        metavar="|".join([*PRESETS, "FILE.toml"]),
+        help="material (locking)",
+    )
+
+
+def _positive(text: str) -> float:
+    try:
+        return check_number("value", float(text))
+    except ValueError:  # of float, or an InputError
+        raise argparse.ArgumentTypeError(f"expected a positive number, got '{text}'") from None
+
+
+def _degrees(text: str) -> float:
+    with suppress(ValueError):
+        if isfinite(number := float(text)):
+            return number
+    raise argparse.ArgumentTypeError(f"expected a number of degrees, got '{text}'")
+
+
+def _path(text: str) -> Path:
+    if not text:
+        raise argparse.ArgumentTypeError("expected the name of a folder, got ''")
+    return Path(text)
+
+
+def _one_of(*known: str) -> Callable[[str], str]:
+    def check(text: str) -> str:
+        if text not in known:
+            raise argparse.ArgumentTypeError(f"unknown value '{text}': {suggestion(text, known)}")
+        return text
+
+    return check
+
+
+def _add_number(
+    parser: argparse.ArgumentParser,
+    option: str,
+    default: float,
+    unit: str,
+    text: str,
+    check: Callable[[str], float] = _positive,
+) -> None:
+    parser.add_argument(
+        option, type=check, default=default, metavar=unit, help=f"{text} ({default:g})"
+    )
+
+
+def _unused(name: str) -> Path:
+    """First of name, name-2, name-3, ... that does not exist."""
+    names = (name if i == 1 else f"{name}-{i}" for i in count(1))
+    return next(path for path in map(Path, names) if not os.path.lexists(path))
+
+
+# What is said
+
+
+def _say(text: str) -> None:
+    """Print; a reader that has gone away (`| head`) does not end the run."""
+    try:
+        print(text, flush=True)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _describe(scene: Scene) -> str:
+    """Return the model in words: its size, what is in it and what was left out, and why."""
+    blank = scene.blank
+    return "\n".join(
+        [
+            f"{scene.name}: {len(blank.nodes)} nodes, {len(blank.triangles)} triangles, "
+            f"{(~scene.fixed).sum()} dofs, travel {scene.travel:g} mm",
+            f"  fabric: {scene.fabric.name}",
+            *(f"  {entry}: {why}" for entry, why in scene.model),
+        ]
+    )
+
+
+def _report(result: Result) -> str:
+    summary = result.summary()
+    reached = f"{summary['reached_mm']:.4g} of {result.scene.travel:.4g} mm"
+    gamma = summary["shear_angle_deg"]
+    rows = {
+        "force": f"{summary['force_N']:.4g} N",
+        "shear angle": f"max {gamma['max']:.2f}, p99 {gamma['p99']:.2f}, "
+        f"mean {gamma['mean']:.2f} deg",
+    }
+    if "draw_in_mm" in summary:
+        rows["draw-in"] = _pairs(summary["draw_in_mm"], ".2f") + " mm"
+        rows["areas"] = _pairs(summary["areas"], ".2f") + " deg (mean shear angle)"
+    errors = summary["error_estimate"]
+    if errors["shear_angle_deg"] is not None:
+        rows["error estimate"] = (
+            f"shear angle {errors['shear_angle_deg']:.2g} deg, force {errors['force_N']:.2g} N"
+        )
+    if summary["collapse"]:
+        rows["collapse"] = (
+            "from {travel_mm:.4g} mm on, first at X = ({at[0]:.1f}, {at[1]:.1f}) mm, "
+            "{shear_angle_deg:.1f} deg".format(**summary["collapse"])
+        )
+    certified = summary["certified"]
+    rows["certified"] = "yes" if certified is True else f"no: {certified}"
+    rows["linear solves"] = (
+        f"{summary['linear_solves']} ({summary['linear_solver']}) "
+        f"in {summary['increments']} increments"
+    )
+    rows["wall time"] = f"{summary['wall_s']:.1f} s"
+    reason = f": {summary['reason']}" if summary["reason"] else ""
+    return "\n".join(
+        [f"{summary['status']} at {reached}{reason}"]
+        + [f"  {name:<15}{value}" for name, value in rows.items()]
+    )
+
+
+def _pairs(table: dict[str, Any], form: str) -> str:
+    """Return the entries in words; an area without a triangle has no value."""
+    return ", ".join(
+        f"{key} {'none' if value is None or value != value else format(value, form)}"
+        for key, value in table.items()
+    )

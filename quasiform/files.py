@@ -1,0 +1,95 @@
+"""The folder of a result: checked before a run, replaced as a whole after it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from .checks import InputError
+
+INCREMENTS = "increment_*.vtu"
+PICTURES = ("shear_angle.png", "history.png")
+FILES = ("summary.json", "history.csv", "result.vtu", "result.pvd", *PICTURES)
+
+
+def check_folder(out: str | Path, *, force: bool = False) -> Path:
+    """Check that a result can be written to a folder; nothing is made, nothing is touched.
+
+    Parameters
+    ----------
+    out : path
+    force : bool
+        Whether the folder may hold a result already.
+
+    Raises
+    ------
+    InputError
+    """
+    folder = Path(out)
+    with _writing_to(folder):
+        if folder.exists() and not folder.is_dir():
+            raise InputError(f"cannot write to {folder}: it is not a folder")
+        held = _held(folder)
+        if held and not force:
+            raise InputError(
+                f"{folder} holds a result already ({held[0].name}): "
+                "choose another folder, or replace it with --force"
+            )
+        with _made(folder):
+            TemporaryDirectory(prefix=".new-", dir=folder).cleanup()
+    return folder
+
+
+@contextmanager
+def replaced(out: str | Path, *, force: bool = False) -> Iterator[Path]:
+    """Yield an empty folder whose files take the place of the result in `out` at the end.
+
+    An old result stays complete until the new one is.
+
+    Raises
+    ------
+    InputError
+        As `check_folder`.
+    """
+    folder = check_folder(out, force=force)
+    with (
+        _writing_to(folder),
+        _made(folder),
+        TemporaryDirectory(prefix=".new-", dir=folder) as staging,
+    ):
+        yield Path(staging)
+        new = {path.name for path in Path(staging).iterdir()}
+        old = [path for path in _held(folder) if path.name not in new]
+        for name in sorted(new):
+            os.replace(Path(staging, name), folder / name)
+        for path in old:
+            path.unlink(missing_ok=True)
+
+
+def _held(folder: Path) -> list[Path]:
+    named = [folder / name for name in FILES if (folder / name).exists()]
+    return named + sorted(folder.glob(INCREMENTS))
+
+
+@contextmanager
+def _made(folder: Path) -> Iterator[None]:
+    """Make a folder for the time being; it stays if something has been put into it."""
+    missing = [path for path in (folder, *folder.parents) if not path.exists()]
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        yield
+    finally:
+        for path in missing:
+            with suppress(OSError):  # not empty
+                path.rmdir()
+
+
+@contextmanager
+def _writing_to(folder: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"cannot write to {folder}: {error.strerror or error}") from error

@@ -1,0 +1,101 @@
+"""How far a run has come, on stderr: a bar on a terminal, plain lines in a pipe or a log."""
+
+from __future__ import annotations
+
+import sys
+import time
+from dataclasses import replace
+from math import nan
+from types import TracebackType
+
+from rich.console import Console
+from rich.live import Live
+from rich.progress_bar import ProgressBar
+from rich.text import Text
+
+from .solve.increments import Progress
+
+
+def progress(step: Progress) -> None:
+    """Show on stderr how far a run has come: `solve(scene, callback=progress)`.
+
+    On a terminal one line is drawn over and over; elsewhere each increment prints a line.
+    """
+    console = Console(stderr=True)
+    if _draws(console):
+        console.print(_bar(step, console), end="\n" if step.travel >= step.goal else "\r")
+    else:
+        print(_words(step), file=sys.stderr, flush=True)
+
+
+class LiveProgress:
+    """The same callback with a clock that runs on between two increments.
+
+    Made and entered just before the run, and left after it, however it ends.
+
+    Parameters
+    ----------
+    goal : float
+        Travel at the end.
+    """
+
+    def __init__(self, goal: float) -> None:
+        self._step = Progress(0.0, goal, nan, 0.0, 0, 0, 0.0)
+        self._start = time.perf_counter()
+        self._console = Console(stderr=True)
+        self._live = Live(get_renderable=self._row, console=self._console)
+
+    def __enter__(self) -> LiveProgress:
+        if _draws(self._console):
+            self._live.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._live.stop()
+
+    def __call__(self, step: Progress) -> None:
+        self._step = step
+        if not self._live.is_started:
+            progress(step)
+
+    def _row(self) -> Text:
+        now = replace(self._step, elapsed=time.perf_counter() - self._start)
+        return _bar(now, self._console)
+
+
+def _draws(console: Console) -> bool:
+    """Whether stderr is a terminal on which a line can be drawn over."""
+    return console.file.isatty() and not console.is_dumb_terminal
+
+
+def _words(step: Progress) -> str:
+    words = [f"travel {step.travel:.4g} of {step.goal:.4g}", f"{_clock(step.elapsed)} gone"]
+    if 0 < step.travel < step.goal:
+        left = step.elapsed * (step.goal - step.travel) / step.travel
+        words.append(f"about {_clock(left)} left")  # at the rate of travel so far
+    if step.travel:
+        words.append(f"residual {step.residual:.1e}")
+    if step.contacts:
+        words.append(f"{step.contacts} contacts")
+    return ", ".join(words)
+
+
+def _bar(step: Progress, console: Console) -> Text:
+    """One line as wide as the console: the bar, then the words, cut off where it ends."""
+    words = f" {_words(step)}"
+    width = max(8, min(30, console.width - len(words) - 1))
+    bar = ProgressBar(total=step.goal, completed=step.travel, width=width)
+    line = Text.assemble(*((s.text, s.style or "") for s in console.render(bar)), words)
+    line.truncate(console.width - 1, pad=True)
+    return line
+
+
+def _clock(seconds: float) -> str:
+    minutes, seconds = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02}:{seconds:02}" if hours else f"{minutes}:{seconds:02}"

@@ -1,0 +1,557 @@
+"""The command line: what it refuses, what it writes, what it says, how it exits."""
+
+import csv
+import io
+import json
+import re
+import shlex
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+from pathlib import Path
+
+import meshio
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import quasiform as qf
+from quasiform import cli, geometry, plot
+from quasiform.cli import main
+from quasiform.progress import LiveProgress, progress
+
+ROOT = Path(__file__).parents[1]
+OAT = ["oat", "--size", "40", "--displacement", "5"]
+FORM = ["form", "hemisphere", "--size", "38", "--travel", "5"]
+FILES = set("summary.json history.csv result.vtu result.pvd shear_angle.png history.png".split())
+FIELDS = set("shear_angle warp weft E11 E22 S12 contact_pressure displacement".split())
+KEYS = set(
+    "case version parameters status reached_mm reason wall_s linear_solves increments nodes "
+    "triangles dofs model force_N shear_angle_deg error_estimate equilibrium".split()
+)
+FORM_KEYS = KEYS | set(
+    "draw_in_mm areas max_penetration_mm fibre_strain_max collapse rescues certified".split()
+)
+OAT_COLUMNS = (
+    "displacement_mm force_N shear_angle_center_deg shear_angle_max_deg E11_center E22_center "
+    "linear_solves".split()
+)
+FORM_COLUMNS = (
+    "travel_mm force_N holder_force_N shear_angle_max_deg draw_in_mm linear_solves".split()
+)
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path, monkeypatch):
+    """An empty working directory for every test."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def unsolved(monkeypatch):
+    """Fail where a test's input is not refused before the solve."""
+
+    def solve(*arguments, **named):
+        raise AssertionError("solved")
+
+    monkeypatch.setattr(cli, "solve", solve)
+
+
+def contents(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def assert_refused(capsys, argv, *words):
+    assert main(argv) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("quasiform: ")
+    assert err.count("\n") == 1
+    assert err.endswith("\n")
+    assert [word for word in words if word not in err] == []
+
+
+# Wrong input
+
+
+@pytest.mark.usefixtures("unsolved")
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("", ["expected a command: oat or form"]),
+        ("oats", ["unknown command 'oats'", "did you mean 'oat'?"]),
+        ("form", ["required: SCENE"]),
+        ("form hemispere", ["unknown scene 'hemispere'", "did you mean 'hemisphere'?"]),
+        ("form missing.toml", ["missing.toml", "No such file"]),
+        ("oat --law loking", ["unknown law 'loking'", "did you mean 'locking'?"]),
+        ("oat --law missing.toml", ["missing.toml", "No such file"]),
+        ("oat --linear amgg", ["--linear", "'amgg'", "did you mean 'amg'?"]),
+        ("form hemisphere --symmetry non", ["--symmetry", "'non'", "did you mean 'none'?"]),
+        ("oat --sise 5", ["unknown option '--sise'", "did you mean '--size'?"]),
+        ("oat --sym 5", ["unknown option '--sym'", "expected one of --angle"]),
+        ("oat --dis 5", ["unknown option '--dis'"]),
+        ("oat 5", ["unexpected argument '5'"]),
+        ("oat --size", ["--size: expected one argument"]),
+        ("oat --angle 20", ["angle must lie between 26.6 and 63.4", "got 20"]),
+        ("oat --angle 70", ["angle must lie between 26.6 and 63.4", "got 70"]),
+        ("oat --size 161", ["size must not exceed the width 160", "got 161"]),
+        ("form hemisphere --size 39", ["size must not exceed an eighth", "got 39"]),
+        ("form hemisphere --travel 76", ["travel must not exceed 75 mm", "got 76"]),
+        ("oat --out=", ["--out", "expected the name of a folder"]),
+    ],
+)
+def test_wrong_words_are_refused(capsys, here, line, words):
+    assert_refused(capsys, line.split(), *words)
+    assert list(here.iterdir()) == []
+
+
+def test_a_refusal_is_one_line_whatever_was_given(capsys):
+    assert_refused(capsys, ["oat", "--law", "two\nlines"], "unknown law 'two lines'")
+
+
+@pytest.mark.usefixtures("unsolved")
+@pytest.mark.parametrize("value", ["-5", "0", "nan", "inf", "five", "1e999", ""])
+@pytest.mark.parametrize(
+    "line",
+    [
+        *(f"oat --{name}" for name in ("length", "width", "displacement", "size", "increment")),
+        *(f"form hemisphere --{name}" for name in ("travel", "size", "increment")),
+    ],
+)
+def test_no_positive_number_is_refused(capsys, here, line, value):
+    *argv, option = line.split()
+    assert_refused(
+        capsys, [*argv, option, value], f"{option}: expected a positive number, got '{value}'"
+    )
+    assert list(here.iterdir()) == []
+
+
+@pytest.mark.usefixtures("unsolved")
+@pytest.mark.parametrize("value", ["nan", "inf", "left"])
+@pytest.mark.parametrize("line", ["oat --angle", "form hemisphere --orientation"])
+def test_no_angle_is_refused(capsys, line, value):
+    expected = f"{line.split()[-1]}: expected a number of degrees, got '{value}'"
+    assert_refused(capsys, [*line.split(), value], expected)
+
+
+@pytest.mark.usefixtures("unsolved")
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("thicknes = 1.0", ["unknown key 'thicknes'", "did you mean 'thickness'?"]),
+        ("[shear]\nC_inni = 1.0", ["[shear]", "unknown key 'C_inni'", "did you mean 'C_ini'?"]),
+        ("[shear]\nC_ini = -1.0", ["[shear]", "C_ini must be a positive number", "-1.0"]),
+        ("[shear]\nC_ini = 'stiff'", ["[shear]", "C_ini must be a positive number", "'stiff'"]),
+        ("thickness = = 1", ["line 1"]),
+    ],
+)
+def test_a_wrong_law_file_is_refused(capsys, here, text, words):
+    Path("mine.toml").write_text(text, encoding="utf-8")
+    assert_refused(capsys, ["oat", "--law", "mine.toml"], "mine.toml: ", *words)
+    assert [path.name for path in here.iterdir()] == ["mine.toml"]
+
+
+@pytest.mark.usefixtures("unsolved")
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("[punch]", "[punch]\nradios = 1", ["[punch]", "unknown key 'radios'", "'radius'?"]),
+        ("[friction]", "[frictoin]", ["unknown key 'frictoin'", "did you mean 'friction'?"]),
+        ("value = 5.0", "value = -5.0", ["holder.mass must be a positive number", "-5.0"]),
+        ("value = 5.0", "value = nan", ["holder.mass must be a positive number", "nan"]),
+        ("value = 5.0", "valeu = 5.0", ["[holder.mass]", "unknown key 'valeu'", "'value'?"]),
+        ('"kg", standing = "assumed"', '"kg", standing = "sure"', ["holder.mass", "'sure'"]),
+    ],
+)
+def test_a_wrong_geometry_file_is_refused(capsys, old, new, words):
+    text = (geometry.FOLDER / "hemisphere.toml").read_text(encoding="utf-8")
+    assert old in text
+    Path("mine.toml").write_text(text.replace(old, new), encoding="utf-8")
+    assert_refused(capsys, ["form", "mine.toml"], "mine.toml: ", *words)
+
+
+@pytest.mark.usefixtures("unsolved")
+def test_an_unwritable_out_is_refused_before_the_solve(capsys, here):
+    Path("file").write_text("mine", encoding="utf-8")
+    assert_refused(capsys, [*OAT, "--out", "file"], "cannot write to file: it is not a folder")
+    assert_refused(capsys, [*OAT, "--out", "file/sub"], "cannot write to file/sub: ")
+    assert contents(here) == {"file": b"mine"}
+
+
+def test_a_missing_linear_solver_is_refused_without_a_trace(capsys, here, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pymklpardiso", None)
+    assert main([*OAT, "--linear", "pardiso"]) == 2
+    assert "pip install 'quasiform[fast]'" in capsys.readouterr().err
+    assert list(here.iterdir()) == []
+
+
+@pytest.mark.usefixtures("unsolved")
+def test_a_model_too_large_for_the_memory_is_refused(capsys, monkeypatch):
+    def too_large(*arguments):
+        raise MemoryError
+
+    monkeypatch.setattr(cli, "off_axis_tension", too_large)
+    assert_refused(capsys, OAT, "not enough memory", "larger --size")
+
+
+# Results
+
+
+@pytest.mark.usefixtures("unsolved")
+@pytest.mark.parametrize(
+    ("argv", "words"),
+    [
+        (OAT, ["oat-45: 77 nodes, 128 triangles, 134 dofs", "bending left out: no curvature"]),
+        (FORM, ["hemisphere-0: 25 nodes, 32 triangles", "a quarter: ", "weight of the sheet left"]),
+        ([*FORM, "--symmetry", "none"], ["81 nodes, 128 triangles", "symmetry is switched off"]),
+        ([*FORM, "--law", "best-fit"], ["fabric: MD600 best-fit"]),
+    ],
+)
+def test_a_dry_run_tells_the_model_and_writes_nothing(capsys, here, argv, words):
+    assert main([*argv, "--dry-run", "--out", "out"]) == 0
+    out, err = capsys.readouterr()
+    assert [word for word in words if word not in out] == []
+    assert "writing" not in out
+    assert err == ""
+    assert list(here.iterdir()) == []
+
+
+def assert_complete(folder, keys, columns):
+    """Check the files of a run against the contract and against each other."""
+    names = set(contents(folder))
+    increments = sorted(name for name in names if name.startswith("increment_"))
+    assert names == FILES | set(increments)
+
+    summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    assert keys - set(summary) == set()
+    assert summary["case"] == folder.name
+    assert summary["status"] == "completed"
+    assert summary["reason"] == ""
+    assert summary["reached_mm"] == 5.0
+    assert set(summary["shear_angle_deg"]) == {"max", "p99", "mean"}
+    assert set(summary["error_estimate"]) == {"shear_angle_deg", "force_N"}
+    assert {"residual_relative", "energy_balance_relative"} <= set(summary["equilibrium"])
+    assert summary["shear_angle_deg"]["max"] > 0
+
+    with (folder / "history.csv").open(encoding="utf-8", newline="") as file:
+        header, *rows = csv.reader(file)
+    assert header == columns
+    history = np.array(rows, dtype=float)
+    assert_allclose(history[[0, -1], 0], [0.0, 5.0])
+    assert_allclose(history[-1, 1], summary["force_N"], rtol=1e-6)
+
+    sets = ET.parse(folder / "result.pvd").getroot().findall("Collection/DataSet")
+    assert [entry.get("file") for entry in sets] == increments
+    assert_allclose([float(entry.get("timestep")) for entry in sets], history[:, 0])
+    for name in ("result.vtu", *increments):
+        mesh = meshio.read(folder / name)
+        assert FIELDS - set(mesh.point_data) - set(mesh.cell_data) == set()
+        assert mesh.points.shape[1] == 3
+    mesh = meshio.read(folder / "result.vtu")
+    gamma = mesh.cell_data["shear_angle"][0]
+    assert len(gamma) == len(mesh.cells_dict["triangle"])
+    assert_allclose(np.abs(gamma).max(), summary["shear_angle_deg"]["max"])
+    for family in ("warp", "weft"):
+        assert_allclose(np.linalg.norm(mesh.cell_data[family][0], axis=1), 1.0)
+    for picture in ("shear_angle.png", "history.png"):
+        assert (folder / picture).read_bytes().startswith(b"\x89PNG")
+    return summary, mesh
+
+
+def test_oat_writes_every_file_into_a_new_folder(capsys, here):
+    assert main(OAT) == 0
+    out, err = capsys.readouterr()
+    assert out.startswith("writing to oat-45\n")
+    summary, mesh = assert_complete(here / "oat-45", KEYS, OAT_COLUMNS)
+    assert len(mesh.cells_dict["triangle"]) == summary["triangles"] == 128
+    # in the middle γ follows the pure-shear kinematics sin γ = (1 + u/(l0 - w0))² - 1, but for the
+    # little that the fibres give
+    sin_gamma = np.sin(np.radians(summary["shear_angle_deg"]["max"]))
+    assert_allclose(sin_gamma, (1 + 5 / 160) ** 2 - 1, rtol=2e-3)
+    assert "completed at 5 of 5 mm" in out
+    assert f"force          {summary['force_N']:.4g} N" in out
+    assert "certified      yes" in out
+    assert f"{summary['linear_solves']} (" in out
+    assert [name for name in FILES if name not in out] == []
+    lines = err.splitlines()
+    assert len(lines) == summary["increments"]
+    assert lines[-1].startswith("travel 5 of 5, ")
+
+    first = contents(here / "oat-45")
+    assert main(OAT) == 0
+    assert capsys.readouterr().out.startswith("writing to oat-45-2\n")
+    assert contents(here / "oat-45") == first
+    assert {path.name for path in here.iterdir()} == {"oat-45", "oat-45-2"}
+
+
+def test_form_writes_every_file_into_out(capsys, here):
+    assert main([*FORM, "--increment", "2", "--out", "a/hemisphere-0"]) == 0
+    out, _ = capsys.readouterr()
+    assert out.startswith("writing to a/hemisphere-0\n")
+    summary, mesh = assert_complete(here / "a/hemisphere-0", FORM_KEYS, FORM_COLUMNS)
+    assert len(mesh.cells_dict["triangle"]) == 4 * summary["triangles"] == 128
+    assert set(summary["draw_in_mm"]) == {"+x", "-x", "+y", "-y"}
+    assert set(summary["areas"]) == {"green", "blue", "pink"}
+    assert summary["parameters"]["orientation"] == 0.0
+    assert "draw-in        +x " in out
+    assert "areas          green " in out
+    assert len(list((here / "a/hemisphere-0").glob("increment_*.vtu"))) == 4  # at 0, 2, 4 and 5
+    assert [path.name for path in here.iterdir()] == ["a"]
+
+
+def test_options_reach_the_scene_and_the_solver(here, monkeypatch):
+    given = []
+
+    def solve(scene, callback, increment, linear):
+        given.append((scene, increment, linear))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(cli, "solve", solve)
+    qf.Fabric(name="mine").save("mine.toml")
+    numbers = "--angle 50 --length 300 --width 120 --displacement 7 --size 60"
+    assert main(f"oat {numbers} --law mine.toml --increment 3 --linear superlu".split()) == 3
+    turned = "--orientation 45 --size 31 --travel 9 --symmetry none --law best-fit"
+    assert main(f"form hemisphere {turned}".split()) == 3
+    (oat, *oat_solver), (form, *form_solver) = given
+    assert oat.parameters == {
+        **{"angle": 50, "length": 300, "width": 120, "displacement": 7, "size": 60},
+        "law": "mine",
+    }
+    assert oat_solver == [3, "superlu"]
+    assert (
+        form.parameters.items()
+        >= {
+            **{"scene": "hemisphere", "orientation": 45, "size": 31, "travel": 9},
+            **{"symmetry": "none", "law": "MD600 best-fit"},
+        }.items()
+    )
+    assert form_solver == [None, "auto"]
+
+
+def test_an_existing_result_is_refused_and_stays(capsys, here):
+    assert main([*OAT, "--out", "out"]) == 0
+    before = contents(here / "out")
+    capsys.readouterr()
+    assert_refused(capsys, [*FORM, "--out", "out"], "out holds a result already", "--force")
+    assert contents(here / "out") == before
+
+
+@pytest.mark.parametrize("name", [*sorted(FILES), "increment_0003.vtu"])
+@pytest.mark.usefixtures("unsolved")
+def test_a_part_of_a_result_is_not_overwritten_either(capsys, here, name):
+    Path("out").mkdir()
+    Path("out", name).write_text("mine", encoding="utf-8")
+    assert_refused(capsys, [*OAT, "--out", "out"], "out holds a result already", name)
+    assert contents(here / "out") == {name: b"mine"}
+
+
+def test_force_replaces_the_result_and_nothing_else(here):
+    assert main([*OAT, "--increment", "1", "--out", "out"]) == 0
+    Path("out", "notes.txt").write_text("mine", encoding="utf-8")
+    before = contents(here / "out")
+    assert "increment_0005.vtu" in before
+    assert main([*OAT[:-1], "4", "--increment", "2", "--out", "out", "--force"]) == 0
+    after = contents(here / "out")
+    assert set(before) - set(after) == {f"increment_000{i}.vtu" for i in (3, 4, 5)}
+    assert {name for name in after if after[name] == before[name]} <= {
+        "notes.txt",
+        "increment_0000.vtu",  # the flat sheet in both
+    }
+    assert after["notes.txt"] == b"mine"
+
+
+@pytest.mark.parametrize("place", ["solve", "save"])
+def test_an_interrupted_run_leaves_what_was_there(capsys, here, monkeypatch, place):
+    def interrupted(*arguments, **named):
+        raise KeyboardInterrupt
+
+    assert main([*OAT, "--out", "out"]) == 0
+    before = contents(here / "out")
+    monkeypatch.setattr(
+        *((cli, "solve") if place == "solve" else (qf.Result, "summary")), interrupted
+    )
+    capsys.readouterr()
+    assert main([*OAT, "--out", "out", "--force"]) == 3
+    assert "quasiform: interrupted: no result was written\n" in capsys.readouterr().err
+    assert contents(here / "out") == before
+    assert main([*OAT, "--out", "new/folder"]) == 3
+    assert [path.name for path in here.iterdir()] == ["out"]
+
+
+def test_a_failing_picture_does_not_cost_the_numbers(here, monkeypatch):
+    def failing(result, folder):
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(plot, "save_pictures", failing)
+    with pytest.raises(ZeroDivisionError):
+        main([*OAT, "--out", "out"])
+    assert {"summary.json", "history.csv", "result.vtu", "result.pvd"} <= set(
+        contents(here / "out")
+    )
+
+
+def test_a_full_disk_is_told_in_one_line(capsys, monkeypatch):
+    def full(result):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(qf.Result, "summary", full)
+    assert main([*OAT, "--out", "out"]) == 2
+    err = capsys.readouterr().err
+    assert err.endswith("quasiform: cannot write to out: No space left on device\n")
+
+
+def test_a_stopped_run_is_written_says_so_and_exits_3(capsys, monkeypatch):
+    def stopped(scene, *arguments, **named):
+        collapse = {"travel_mm": 4.5, "at": [1.0, -2.0], "shear_angle_deg": 85.5, "triangles": 2}
+        return replace(qf.solve(scene), reason="the sheet is torn", collapse=collapse)
+
+    monkeypatch.setattr(cli, "solve", stopped)
+    assert main([*OAT, "--out", "out"]) == 3
+    out = capsys.readouterr().out
+    assert "stopped at 5 of 5 mm: the sheet is torn" in out
+    assert "collapse       from 4.5 mm on, first at X = (1.0, -2.0) mm, 85.5 deg" in out
+    assert "certified      no: stopped early; collapsed from 4.5 mm on" in out
+    assert FILES <= set(contents(Path("out")))
+    summary = json.loads(Path("out/summary.json").read_text(encoding="utf-8"))
+    assert summary["status"] == "stopped"
+    assert summary["reason"] == "the sheet is torn"
+
+
+def test_the_error_estimate_is_told_if_there_is_one(capsys, monkeypatch):
+    estimate = {"shear_angle_deg": 0.25, "force_N": 1.5}
+    monkeypatch.setattr(
+        cli, "solve", lambda scene, *_, **__: replace(qf.solve(scene), estimate=estimate)
+    )
+    assert main(OAT) == 0
+    assert "error estimate shear angle 0.25 deg, force 1.5 N" in capsys.readouterr().out
+
+
+# Progress
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+def terminal_on_stderr(monkeypatch):
+    """Put a terminal of 90 columns in the place of stderr, and return it."""
+    for name, value in {"TERM": "xterm", "COLUMNS": "90", "LINES": "20"}.items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setattr(sys, "stderr", Terminal())
+    return sys.stderr
+
+
+STEP = qf.Progress(
+    travel=20.0, goal=80.0, residual=2e-5, force=1.0, contacts=7, linear_solves=9, elapsed=65.0
+)
+WORDS = "travel 20 of 80, 1:05 gone, about 3:15 left, residual 2.0e-05, 7 contacts"
+
+
+def test_progress_is_a_line_in_a_log(capsys):
+    progress(STEP)
+    progress(replace(STEP, travel=80.0, contacts=0, elapsed=3725.4))
+    assert capsys.readouterr().err.splitlines() == [
+        WORDS,
+        "travel 80 of 80, 1:02:05 gone, residual 2.0e-05",
+    ]
+
+
+def test_progress_is_a_bar_on_a_terminal(monkeypatch):
+    terminal = terminal_on_stderr(monkeypatch)
+    progress(STEP)
+    progress(replace(STEP, travel=80.0))
+    plain = re.sub(r"\x1b\[[0-9;]*m", "", terminal.getvalue())
+    first, last = plain.split("\r", 1)
+    assert WORDS in first
+    assert last.endswith("\n")
+    assert set(last.split(" ")[0]) == {"━"}
+    assert len(first) == len(last.rstrip("\n")) == 89  # nothing of the first is left over
+
+
+def test_the_live_bar_gives_the_cursor_back(capsys, monkeypatch):
+    def failing(scene, callback, *arguments, **named):
+        callback(STEP)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(cli, "solve", failing)
+    terminal = terminal_on_stderr(monkeypatch)
+    assert main(OAT) == 3
+    drawn = terminal.getvalue()
+    assert "travel 20 of 80" in drawn
+    assert drawn.index("\x1b[?25l") < drawn.index("\x1b[?25h") < drawn.index("interrupted")
+
+
+def test_the_live_bar_is_lines_in_a_log(capsys):
+    with LiveProgress(80.0) as callback:
+        callback(STEP)
+    assert capsys.readouterr().err == f"{WORDS}\n"
+
+
+# Installed, and as printed in README.md
+
+
+def run(*argv):
+    command = [sys.executable, "-m", "quasiform", *argv]
+    beside = Path(qf.__file__).parents[1]  # the code under test, wherever another is installed
+    return subprocess.run(command, capture_output=True, text=True, check=False, cwd=beside)
+
+
+def test_the_module_runs_as_a_program():
+    done = run(*OAT, "--dry-run")
+    assert (done.stderr, done.returncode) == ("", 0)
+    assert done.stdout.startswith("oat-45: 77 nodes")
+    refused = run("oat", "--size", "nan")
+    assert (refused.returncode, refused.stdout) == (2, "")
+    assert refused.stderr == "quasiform: --size: expected a positive number, got 'nan'\n"
+
+
+def test_help_and_version_exit_0(capsys):
+    for option in ("--version", "--help"):
+        with pytest.raises(SystemExit) as left:
+            main([option])
+        assert left.value.code == 0
+        assert capsys.readouterr().out.strip()
+
+
+def blocks(language):
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    return re.findall(rf"```{language}\n(.*?)```", text, re.DOTALL)
+
+
+@pytest.mark.usefixtures("unsolved")
+def test_the_commands_of_the_readme_are_accepted(capsys):
+    lines = [line for block in blocks("sh") for line in block.splitlines()]
+    commands = [
+        match[1] for line in lines if (match := re.search(r"\bquasiform ((oat|form).*)", line))
+    ]
+    assert len(commands) >= 3
+    for command in commands:
+        assert main([*shlex.split(command), "--dry-run"]) == 0, capsys.readouterr().err
+
+
+def test_the_script_of_the_readme_runs(monkeypatch):
+    (script,) = blocks("python")
+    solved = []
+
+    def small(scene, callback=None):
+        solved.append(scene.name)
+        assert callback is None or callable(callback)
+        return qf_solve(qf.off_axis_tension(size=40, displacement=1), callback)
+
+    qf_solve = qf.solve
+    monkeypatch.setattr(qf, "solve", small)
+    exec(script, {})
+    assert solved == ["oat-45", "hemisphere-45"]
+    assert FILES <= set(contents(Path("out")))
+
+
+def test_continuous_integration_runs_the_test_command_of_the_readme():
+    (pattern,) = re.findall(r"grep -E -- '(.+)' README\.md", (ROOT / ".ci/run").read_text())
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    (command,) = [line for line in text.splitlines() if re.search(pattern, line)]
+    assert command == (
+        "python3 -m venv .venv && .venv/bin/pip install '.[test]' && .venv/bin/python -m pytest"
+    )

@@ -1,0 +1,802 @@
+"""Every energy term: derivatives, symmetry, convexity, purity, invariance; then its own values.
+
+A term is tested by being listed in `FREE`, `ON_TOOLS` or `HELD`.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.spatial.transform import Rotation
+
+from quasiform.blank import rectangle
+from quasiform.energy import Potential
+from quasiform.energy.bending import Bending
+from quasiform.energy.contact import BLEND, Contact
+from quasiform.energy.friction import STICK, Friction
+from quasiform.energy.membrane import Membrane
+from quasiform.energy.weight import GRAVITY, SheetWeight, ToolWeight
+from quasiform.material import Fabric, ThreeStageLaw
+from quasiform.tool import Cylinder, Flipped, Plane, RoundOpening, RoundPunch, Sphere, Tool
+
+MU = 0.157
+# fibres so soft that the shear stiffness shows beside theirs, and all four laws different
+FABRIC = replace(
+    Fabric.preset("best-fit"),
+    warp=ThreeStageLaw(C_ini=2.0, S_ini=0.1, C_mid=0.3, dS_mid=0.2, C_lo=5.0, I_lo=0.2),
+    weft=ThreeStageLaw(C_ini=0.7, S_ini=0.05, C_mid=0.2, dS_mid=0.1, C_lo=3.0, I_lo=0.3),
+    bending_warp=3.4,
+    bending_weft=1.9,
+    in_plane_bending=0.2,
+)
+STIFF = Fabric.preset("locking")
+SHAPES = {
+    "plane": Plane(),
+    "sphere": Sphere(30.0),
+    "cylinder": Cylinder(20.0),
+    "punch": RoundPunch(25.0),
+    "opening": RoundOpening(30.0, 8.0),
+    "holder": Flipped(RoundOpening(30.0, 8.0)),
+}
+BLANKS = {
+    "aligned": rectangle(40.0, 30.0, 8.0),
+    "cut": rectangle(40.0, 30.0, 8.0, orientation=30.0),
+    "quarter": rectangle(80.0, 60.0, 8.0, mirror=("x", "y")),
+}
+
+
+@dataclass
+class Case:
+    """A term at a state x where at least the share `active` of its stencils acts.
+
+    `prescribed` counts the last local degrees of freedom, if these are never solved for.
+    """
+
+    term: Any
+    x: np.ndarray
+    active: float = 1.0
+    prescribed: int = 0
+
+
+def flat(blank, dim=3, rigid=0):
+    """The state at rest: nodes in the plane z = 0, tool heights zero."""
+    return np.append(np.pad(blank.nodes, ((0, 0), (0, dim - 2))).ravel(), np.zeros(rigid))
+
+
+def deformed(blank, dim=3, seed=0):
+    """Fibres stretched and compressed by up to 15 %, sheared by up to 40°, and bent."""
+    rng = np.random.default_rng(seed)
+    F = np.eye(dim)[:, :2] + [[0.0, 0.3], [0.2, 0.0], [0.0, 0.1]][:dim]
+    return (blank.nodes @ F.T + rng.uniform(-0.7, 0.7, (len(blank.nodes), dim))).ravel()
+
+
+def touching(contact, shape, deepest=0.3, seed=0):
+    """Nodes strewn over the whole surface of a tool, from clear of it to `deepest` inside."""
+    rng = np.random.default_rng(seed)
+    n = len(contact.area)
+    points = rng.uniform(-50.0, 50.0, (200 * n, 3))
+    d, normal, _ = shape.distance(points)
+    near = (d > -5.0) & (d < 10.0) & (np.linalg.norm(points[:, :2], axis=1) > 5.0)
+    p = rng.uniform(-0.1, deepest, near.sum())
+    points = points[near] + (contact.offset - p - d[near])[:, None] * normal[near]
+    return np.append(points[:n].ravel(), 0.0)
+
+
+def membrane(blank, dim, fabric=FABRIC):
+    blank = BLANKS[blank]
+    return Case(Membrane(blank, fabric, dim), deformed(blank, dim))
+
+
+def bending(blank, clamp=False):
+    blank = BLANKS[blank]
+    clamped = np.isclose(blank.nodes[:, 0], blank.nodes[:, 0].min()) if clamp else None
+    return Case(Bending(blank, FABRIC, clamped), deformed(blank))
+
+
+def contact(name):
+    blank, shape = BLANKS["aligned"], SHAPES[name]
+    term = Contact(blank, FABRIC, Tool("tool", shape, friction=MU), 3 * len(blank.nodes))
+    return Case(term, touching(term, shape), active=0.5)
+
+
+def friction(name):
+    """Anchored where the nodes touch, then moved about the limit of stick."""
+    normal = contact(name)
+    term = Friction(normal.term, normal.x)
+    moved = normal.x + np.random.default_rng(1).uniform(-1.0, 1.0, len(normal.x))
+    return Case(term, moved, active=0.5)
+
+
+def sheet_weight():
+    blank = BLANKS["aligned"]
+    term = SheetWeight(blank, 0.02, 3 * len(blank.nodes))
+    return Case(term, np.append(deformed(blank), 0.7), prescribed=1)
+
+
+def tool_weight():
+    return Case(ToolWeight(2.5, 1), np.array([0.0, 12.0]))
+
+
+FREE = {
+    "membrane in the plane": lambda: membrane("aligned", 2),
+    "membrane in the plane, cut": lambda: membrane("cut", 2),
+    "membrane in the plane, stiff": lambda: membrane("aligned", 2, STIFF),
+    "membrane in space": lambda: membrane("aligned", 3),
+    "membrane in space, cut": lambda: membrane("cut", 3),
+    "bending": lambda: bending("aligned"),
+    "bending, cut": lambda: bending("cut"),
+}
+ON_TOOLS = {
+    **{f"contact, {name}": lambda name=name: contact(name) for name in SHAPES},
+    **{f"friction, {name}": lambda name=name: friction(name) for name in SHAPES},
+}
+HELD = {
+    "bending, clamped": lambda: bending("aligned", clamp=True),
+    "bending, mirrored": lambda: bending("quarter"),
+    "weight of the sheet": sheet_weight,
+    "weight of a tool": tool_weight,
+}
+CASES = {**FREE, **ON_TOOLS, **HELD}
+
+
+@pytest.fixture(params=CASES)
+def case(request):
+    return CASES[request.param]()
+
+
+def arrays(value):
+    """Every array that a term remembers."""
+    if isinstance(value, np.ndarray):
+        return [value]
+    if isinstance(value, tuple):
+        return [array for item in value for array in arrays(item)]
+    return []
+
+
+def memory(term):
+    return [array.copy() for value in vars(term).values() for array in arrays(value)]
+
+
+def along(f, x, d, h=1e-6):
+    """Central difference of f along d."""
+    return (f(x + h * d) - f(x - h * d)) / (2 * h)
+
+
+def directions(x, count=6):
+    return np.random.default_rng(2).uniform(-1.0, 1.0, (count, len(x)))
+
+
+# All terms
+
+
+def test_shapes_and_symmetry(case):
+    term, x = case.term, case.x
+    n, local = term.dofs.shape
+    assert term.dofs.min() >= 0
+    assert term.dofs.max() < len(x)
+    assert term.energy(x).shape == (n,)
+    assert term.gradient(x).shape == (n, local)
+    for convex in (True, False):
+        H = term.hessian(x, convex)
+        assert H.shape == (n, local, local)
+        assert_allclose(H, H.transpose(0, 2, 1), rtol=0, atol=1e-12 * np.abs(H).max())
+
+
+def test_term_is_active(case):
+    g = case.term.gradient(case.x)
+    assert (np.abs(case.term.energy(case.x)) > 0).mean() >= case.active
+    assert (np.abs(g).max(1) > 1e-6 * np.abs(g).max()).mean() >= case.active
+
+
+def test_gradient_is_the_derivative_of_the_energy(case):
+    term, x = case.term, case.x
+    g = term.gradient(x)
+    for d in directions(x):
+        slope = (g * d[term.dofs]).sum(1)
+        assert_allclose(along(term.energy, x, d), slope, rtol=0, atol=1e-6 * np.abs(g).max())
+
+
+def test_hessian_is_the_derivative_of_the_gradient(case):
+    term, x = case.term, case.x
+    H = term.hessian(x, False)
+    for d in directions(x):
+        slope = (H @ d[term.dofs][:, :, None])[:, :, 0]
+        assert_allclose(
+            along(term.gradient, x, d), slope, rtol=0, atol=1e-6 * max(np.abs(H).max(), 1e-3)
+        )
+
+
+def test_convex_hessian_is_positive_semi_definite(case):
+    H = case.term.hessian(case.x, True)
+    H = H[:, : H.shape[1] - case.prescribed, : H.shape[1] - case.prescribed]
+    assert np.linalg.eigvalsh(H).min() >= -1e-12 * np.abs(H).max()
+
+
+def test_evaluation_is_pure(case):
+    term, x = case.term, case.x
+    before, x_before = memory(term), x.copy()
+    first = [term.energy(x), term.gradient(x), term.hessian(x, True), term.hessian(x, False)]
+    kept = [value.copy() for value in first]
+    other = x + 0.1
+    for value in (term.energy(other), term.gradient(other), term.hessian(other, False)):
+        value += 1.0  # a view of the memory would show
+    again = [term.energy(x), term.gradient(x), term.hessian(x, True), term.hessian(x, False)]
+    for a, b, c in zip(first, kept, again, strict=True):
+        assert_array_equal(a, b)
+        assert_array_equal(a, c)
+    assert_array_equal(x, x_before)
+    for a, b in zip(before, memory(term), strict=True):
+        assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize("make", FREE.values(), ids=FREE)
+def test_rigid_motion_costs_no_energy_and_turns_the_forces(make):
+    case = make()
+    dim = case.term.dim if isinstance(case.term, Membrane) else 3
+    Q = Rotation.from_rotvec([0, 0, 2.0] if dim == 2 else [0.7, -1.1, 2.0]).as_matrix()[:dim, :dim]
+    moved = (case.x.reshape(-1, dim) @ Q.T + [30.0, -20.0, 10.0][:dim]).ravel()
+    E, g = case.term.energy(case.x), case.term.gradient(case.x)
+    assert_allclose(case.term.energy(moved), E, rtol=0, atol=1e-10 * E.max())
+    turned = (g.reshape(len(g), -1, dim) @ Q.T).reshape(g.shape)
+    assert_allclose(case.term.gradient(moved), turned, rtol=0, atol=1e-10 * np.abs(g).max())
+    assert_allclose(g.reshape(len(g), -1, dim).sum(1), 0, atol=1e-10 * np.abs(g).max())
+
+
+def sheet_moved(x, Q, shift):
+    """The nodes turned by Q and moved by `shift`, the tool moved along z with them."""
+    return np.append((x[:-1].reshape(-1, 3) @ Q.T + shift).ravel(), x[-1] + shift[2])
+
+
+@pytest.mark.parametrize("make", ON_TOOLS.values(), ids=ON_TOOLS)
+def test_sheet_moving_with_the_tool_or_along_its_symmetry_costs_no_energy(make):
+    """The anchors of friction are moved along: it is built anew from the moved start."""
+    case = make()
+    term = case.term
+    shape = getattr(term, "contact", term).tool.shape
+    Q, shift = Rotation.from_rotvec([0.0, 0.0, 1.3]).as_matrix(), np.array([0.0, 0.0, 4.0])
+    if isinstance(shape, Cylinder):
+        Q, shift = np.eye(3), np.array([0.0, 11.0, 4.0])
+    if isinstance(term, Friction):
+        start = touching(term.contact, shape)
+        term = Friction(term.contact, sheet_moved(start, Q, shift))
+    E, g = case.term.energy(case.x), case.term.gradient(case.x)
+    moved = sheet_moved(case.x, Q, shift)
+    assert_allclose(term.energy(moved), E, rtol=0, atol=1e-10 * E.max())
+    turned = np.column_stack([g[:, :3] @ Q.T, g[:, 3]])
+    assert_allclose(term.gradient(moved), turned, rtol=0, atol=1e-10 * np.abs(g).max())
+    with_tool = sheet_moved(case.x, np.eye(3), np.array([0.0, 0.0, -3.0]))
+    assert_allclose(case.term.energy(with_tool), E, rtol=0, atol=1e-10 * E.max())
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("blank", BLANKS.values(), ids=BLANKS)
+def test_flat_sheet_is_at_rest(blank, dim):
+    x = flat(blank, dim)
+    clamped = blank.nodes[:, 0] == blank.nodes[:, 0].min()
+    terms = [Membrane(blank, STIFF, dim)]
+    if dim == 3:
+        terms += [Bending(blank, STIFF), Bending(blank, STIFF, clamped)]
+    for term in terms:
+        assert term.energy(x).max() < 1e-20
+        assert np.abs(term.gradient(x)).max() < 1e-8
+
+
+@pytest.mark.parametrize(
+    "build",
+    [
+        lambda blank: Membrane(blank, FABRIC, 3),
+        lambda blank: Bending(blank, FABRIC),
+        lambda blank: Contact(blank, FABRIC, Tool("plate", Plane()), 3 * len(blank.nodes)),
+    ],
+    ids=["membrane", "bending", "contact"],
+)
+def test_quarter_holds_a_quarter_of_the_energy(build):
+    """Of a sheet deformed with the mirror planes of its blank."""
+    part = BLANKS["quarter"]
+    whole, source, sign, _, _ = part.unfolded()
+    x = deformed(part).reshape(-1, 3)
+    x[:, :2][np.isclose(part.nodes, 0.0)] = 0.0
+    height = 1.5
+    quarter = build(part).energy(np.append(x, height)).sum()
+    assert quarter > 0
+    assert_allclose(build(whole).energy(np.append(x[source] * sign, height)).sum(), 4 * quarter)
+
+
+# The sum
+
+
+def test_potential_sums_its_terms_over_shared_degrees_of_freedom():
+    blank = BLANKS["aligned"]
+    height = 3 * len(blank.nodes)
+    unused = height + 1  # keeps its place on the diagonal
+    tool = Tool("punch", SHAPES["punch"], motion="driven")
+    terms = [
+        Membrane(blank, FABRIC, 3),
+        Bending(blank, FABRIC),
+        Contact(blank, FABRIC, tool, height),
+    ]
+    x = np.append(deformed(blank), [0.5, 0.0])
+    free = np.ones(len(x), dtype=bool)
+    free[[0, 1, 5, height]] = False
+    potential = Potential(terms, free)
+    assert_allclose(potential.energy(x), sum(term.energy(x).sum() for term in terms))
+    d, motion = directions(x, 2)
+    g = potential.gradient(x)
+    assert_allclose(along(potential.energy, x, d), g @ d, rtol=1e-7)
+
+    motion[free] = 0.0
+    values, load = potential.hessian(x, False, motion)
+    K = potential.pattern.copy()
+    K.data = values
+    assert (K.tocoo().row <= K.tocoo().col).all()
+    assert_array_equal(K.indices[K.indptr[:-1]], np.arange(free.sum()))
+    assert free[unused]
+    K = K.toarray() + np.triu(K.toarray(), 1).T
+    scale = np.abs(K).max()
+    slope = along(potential.gradient, x, np.where(free, d, 0.0))[free]
+    assert_allclose(K @ d[free], slope, rtol=0, atol=1e-6 * scale)
+    slope = along(potential.gradient, x, motion)[free]
+    assert np.abs(slope).max() > 1e-3 * scale
+    assert_allclose(load, slope, rtol=0, atol=1e-6 * scale)
+    assert not potential.hessian(x, False)[1].any()
+
+
+# Membrane
+
+
+def stretched(blank, stretch, dim=3):
+    return (stretch * flat(blank, dim).reshape(-1, dim)).ravel()
+
+
+def test_membrane_energy_of_a_homogeneous_deformation():
+    """t0 A [W4 + W6 + W8] with the fibres at 20° to the axes."""
+    blank = rectangle(40.0, 30.0, 7.0, orientation=20.0)
+    axes = np.column_stack([blank.warp, blank.weft])
+    gamma = np.radians(35.0)
+    fibres = np.array([[1.02, 0.98 * np.sin(gamma)], [0.0, 0.98 * np.cos(gamma)], [0.0, 0.0]])
+    x = (blank.nodes @ (fibres @ axes.T).T).ravel()
+    term = Membrane(blank, FABRIC, 3)
+    W = (
+        FABRIC.warp.energy(1.02**2, 1.0)
+        + FABRIC.weft.energy(0.98**2, 1.0)
+        + FABRIC.shear.energy(1.02 * 0.98 * np.sin(gamma))
+    )
+    assert_allclose(term.energy(x).sum(), FABRIC.thickness * 1200.0 * W)
+    assert_allclose(np.degrees(term.shear_angle(x)), 35.0)
+    S12 = FABRIC.shear.stress(1.02 * 0.98 * np.sin(gamma))
+    S11, S22 = 2 * FABRIC.warp.stress(1.02**2, 1.0), 2 * FABRIC.weft.stress(0.98**2, 1.0)
+    S = [[S11, S12], [S12, S22]]
+    assert_allclose(term.stress(x), np.broadcast_to(S, (len(blank.triangles), 2, 2)))
+
+
+def test_normals_follow_the_sheet_and_turn_with_a_flip():
+    blank = BLANKS["cut"]
+    Q = Rotation.from_rotvec([0.3, -0.8, 0.5]).as_matrix()
+    x = (flat(blank).reshape(-1, 3) @ Q.T).ravel()
+    normals = Membrane(blank, FABRIC, 3).normals(x)
+    assert_allclose(normals, np.broadcast_to(Q[:, 2], normals.shape))
+    mirrored = (blank.nodes * [2.0, -1.0]).ravel()
+    assert_allclose(Membrane(blank, FABRIC, 2).normals(mirrored), -2.0)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_exact_and_convex_membrane_agree_in_tension(dim):
+    blank = BLANKS["cut"]
+    term, x = Membrane(blank, FABRIC, dim), stretched(blank, 1.05, dim)
+    assert_allclose(term.hessian(x, True), term.hessian(x, False), rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_convex_membrane_projects_the_stress(dim):
+    """The two Hessians differ by t0 A g' (S+ - S) g, S+ from an eigenvalue decomposition."""
+    blank = BLANKS["aligned"]
+    term, x = Membrane(blank, FABRIC, dim), deformed(blank, dim)
+    S = term.stress(x)
+    values, vectors = np.linalg.eigh(S)
+    assert (values.min(1) < 0).any()
+    assert (values.min(1) > 0).any()
+    projected = (vectors * np.maximum(values, 0.0)[:, None, :]) @ vectors.transpose(0, 2, 1)
+    weighted = term.volume[:, None, None] * (projected - S)
+    scalar = term.g.transpose(0, 2, 1) @ weighted @ term.g
+    expected = np.einsum("nij,cd->nicjd", scalar, np.eye(dim)).reshape(len(S), 3 * dim, 3 * dim)
+    actual = term.hessian(x, True) - term.hessian(x, False)
+    assert_allclose(actual, expected, rtol=0, atol=1e-12 * np.abs(term.hessian(x, False)).max())
+    assert np.linalg.eigvalsh(term.hessian(stretched(blank, 0.9, dim), False)).min() < -0.1
+
+
+def test_convex_stress_of_equal_pressures_vanishes():
+    """S = -p 1 has no direction of its own: the geometric part is gone."""
+    blank = BLANKS["aligned"]
+    equal = replace(FABRIC, weft=FABRIC.warp)
+    term, x = Membrane(blank, equal, 3), stretched(blank, 0.9)
+    H = term.hessian(x, True).reshape(-1, 3, 3, 3, 3)
+    assert np.isfinite(H).all()
+    assert_allclose(H[:, :, 2, :, 2], 0.0, atol=1e-12)
+
+
+def test_membrane_energy_grows_with_the_thickness_and_bending_does_not():
+    blank = BLANKS["aligned"]
+    x = deformed(blank)
+    thick = replace(FABRIC, thickness=2 * FABRIC.thickness)
+    assert_allclose(Membrane(blank, thick, 3).energy(x), 2 * Membrane(blank, FABRIC, 3).energy(x))
+    assert_allclose(Bending(blank, thick).energy(x), Bending(blank, FABRIC).energy(x))
+
+
+# Bending
+
+R = 30.0
+LINE = 2.0  # spacing of the fibre lines
+LENGTH, WIDTH = 40.0, 24.0
+OUT_OF_PLANE = replace(FABRIC, in_plane_bending=0.0)
+
+
+def rolled(points, radius=R):
+    """A flat (n, 2) sheet rolled on a cylinder along y."""
+    s, y = points.T
+    return np.column_stack([radius * np.sin(s / radius), y, radius * (1 - np.cos(s / radius))])
+
+
+@pytest.mark.parametrize("turn", [0.0, 90.0])
+def test_cylinder_stores_half_b_over_r_squared_per_area(turn):
+    """Rolled along the warp or the weft; the stencils end half a spacing before the free edges."""
+    blank = rectangle(LENGTH, WIDTH, LINE, orientation=turn)
+    B = OUT_OF_PLANE.bending_warp if turn == 0 else OUT_OF_PLANE.bending_weft
+    E = Bending(blank, OUT_OF_PLANE).energy(rolled(blank.nodes).ravel()).sum()
+    area = (LENGTH - LINE) * WIDTH
+    chord = np.sinc(LINE / (2 * R) / np.pi)  # the fibre lines are polygons
+    assert_allclose(E, B / (2 * R**2) * area * chord**4, rtol=1e-12)
+    assert_allclose(E, B / (2 * R**2) * area, rtol=1e-3)
+
+
+def test_bending_energy_is_proportional_to_each_stiffness():
+    blank = BLANKS["cut"]
+    x = deformed(blank)
+    warp, weft, both, eightfold = (
+        Bending(blank, replace(FABRIC, bending_warp=warp, bending_weft=weft)).energy(x)
+        for warp, weft in ((2.0, 0.0), (0.0, 3.0), (2.0, 3.0), (16.0, 24.0))
+    )
+    assert warp.min() >= 0
+    assert weft.min() >= 0
+    assert_allclose(both, warp + weft)
+    assert_allclose(eightfold, 8 * both)
+
+
+@pytest.mark.parametrize("mesh", [{}, {"orientation": 30.0}])
+def test_bending_curvature_of_a_quadratic_surface_is_exact(mesh):
+    """On z = (p s² + q t²)/2 + r s t along warp and weft, also between lines of uneven spacing."""
+    blank = rectangle(LENGTH, WIDTH, 3.0, **mesh)
+    term = Bending(blank, OUT_OF_PLANE)
+    s, t = blank.nodes @ blank.warp, blank.nodes @ blank.weft
+    p, q, r = 3e-5, -2e-5, 5e-5
+    z = 0.5 * (p * s**2 + q * t**2) + r * s * t
+    kappa = term.curvature(np.column_stack([blank.nodes, z]).ravel())
+    bent = np.abs(kappa) > 1e-7
+    assert bent.any(0).all()
+    assert_allclose(kappa[:, 0][bent[:, 0]], p, rtol=1e-5)
+    assert_allclose(kappa[:, 1][bent[:, 1]], q, rtol=1e-5)
+
+
+def test_twist_costs_no_bending():
+    blank = rectangle(LENGTH, WIDTH, LINE)
+    s, t = blank.nodes.T
+    saddle = np.column_stack([s, t, s * t / R]).ravel()
+    rolled_up = rolled(blank.nodes).ravel()
+    term = Bending(blank, FABRIC)
+    assert term.energy(saddle).sum() < 1e-20 * term.energy(rolled_up).sum()
+
+
+@pytest.mark.parametrize("gamma", [30.0, 50.0])
+def test_curvature_follows_the_fibres_of_a_sheared_sheet(gamma):
+    """Sheared flat and then rolled: κ is the curvature along each fibre where it lies now."""
+    g = np.radians(gamma)
+    blank = rectangle(LENGTH, WIDTH, 0.5)
+    sheared = blank.nodes @ np.array([[1.0, np.sin(g)], [0.0, np.cos(g)]]).T
+    term = Bending(blank, OUT_OF_PLANE)
+    kappa = np.abs(term.curvature(rolled(sheared).ravel()))
+    inside = np.isin(term.dofs[:, 0] // 3, np.flatnonzero((np.abs(blank.nodes) < 10).all(1)))
+    assert_allclose(kappa[inside, 0], 1 / R, rtol=1e-3)
+    assert_allclose(kappa[inside, 1], np.sin(g) ** 2 / R, rtol=1e-3)
+
+
+def test_in_plane_curvature_is_resisted_by_its_fraction():
+    """Fibres on circles in the plane: r B/(2 R²) per area of warp."""
+    blank = rectangle(LENGTH, 4.0, LINE)
+    s, y = blank.nodes.T
+    circle = np.column_stack([(R - y) * np.sin(s / R), R - (R - y) * np.cos(s / R), 0 * s])
+    weft_off = replace(FABRIC, bending_weft=0.0)
+    E = Bending(blank, weft_off).energy(circle.ravel()).sum()
+    exact = 0.2 * FABRIC.bending_warp / (2 * R**2) * (LENGTH - LINE) * 4.0
+    assert_allclose(E, exact, rtol=0.02)
+    assert Bending(blank, replace(weft_off, in_plane_bending=0.0)).energy(circle.ravel()).max() == 0
+
+
+def test_exact_and_convex_bending_agree_on_a_flat_sheet():
+    blank = BLANKS["cut"]
+    term, rest = Bending(blank, FABRIC), flat(blank)
+    assert_allclose(term.hessian(rest, True), term.hessian(rest, False), rtol=1e-12, atol=1e-12)
+    bent = deformed(blank)
+    assert np.abs(term.hessian(bent, True) - term.hessian(bent, False)).max() > 0.01
+
+
+def parabola(blank, c):
+    return np.column_stack([blank.nodes, 0.5 * c * blank.nodes[:, 0] ** 2]).ravel()
+
+
+def test_clamp_adds_half_a_stencil():
+    """Bent to z = c x²/2: k = 2 (x1 - x0 - l t)/l² at the clamp is c too, on half the area."""
+    blank = rectangle(LENGTH, WIDTH, LINE, centre=(LENGTH / 2, 0.0))
+    clamped = np.isclose(blank.nodes[:, 0], 0.0)
+    c = 1e-6
+    free = Bending(blank, FABRIC).energy(parabola(blank, c)).sum()
+    held = Bending(blank, FABRIC, clamped)
+    per_area = FABRIC.bending_warp * c**2 / 2
+    assert_allclose(free, per_area * (LENGTH - LINE) * WIDTH, rtol=1e-6)
+    assert_allclose(
+        held.energy(parabola(blank, c)).sum(), per_area * (LENGTH - LINE / 2) * WIDTH, rtol=1e-6
+    )
+    at_clamp = np.isin(held.dofs[:, 0] // 3, np.flatnonzero(clamped))
+    assert at_clamp.any()
+    assert_allclose(held.curvature(parabola(blank, c))[at_clamp, 0], c, rtol=1e-6)
+    # a sheet that leaves the clamp straight, but at a slope, is bent there alone
+    tilted = np.column_stack([blank.nodes, c * blank.nodes[:, 0]]).ravel()
+    kappa = held.curvature(tilted)[:, 0]
+    assert_allclose(kappa[at_clamp], 2 * c / LINE, rtol=1e-6)
+    assert_allclose(kappa[~at_clamp], 0.0, atol=1e-6 * c)
+
+
+def test_mirror_plane_adds_half_a_stencil():
+    blank = rectangle(2 * LENGTH, 2 * WIDTH, LINE, mirror=("x", "y"))
+    c = 1e-6
+    term = Bending(blank, FABRIC)
+    per_area = FABRIC.bending_warp * c**2 / 2
+    E = term.energy(parabola(blank, c)).sum()
+    assert_allclose(E, per_area * (LENGTH - LINE / 2) * WIDTH, rtol=1e-6)
+    bent = np.abs(term.curvature(parabola(blank, c))[:, 0]) > 0.5 * c
+    centres = blank.nodes[term.dofs[bent, 0] // 3]
+    assert np.isclose(centres[:, 0], 0.0).any()
+    # a ridge at the plane: both halves rise at the slope c
+    ridge = np.column_stack([blank.nodes, c * blank.nodes[:, 0]]).ravel()
+    kappa = term.curvature(ridge)[:, 0]
+    at_plane = np.isclose(blank.nodes[term.dofs[:, 0] // 3, 0], 0.0)
+    assert_allclose(kappa[at_plane], 2 * c / LINE, rtol=1e-6)
+    assert_allclose(kappa[~at_plane], 0.0, atol=1e-6 * c)
+
+
+# Contact
+
+
+def plate(p, mu=MU, tool_height=0.0):
+    """A sheet pressed by p into a plate that faces up, and the state."""
+    blank = BLANKS["aligned"]
+    x = flat(blank, rigid=1)
+    x[2:-1:3] = tool_height + FABRIC.thickness / 2 - p
+    x[-1] = tool_height
+    term = Contact(blank, FABRIC, Tool("plate", Plane(), friction=mu), len(x) - 1)
+    return term, x
+
+
+@pytest.mark.parametrize("tool_height", [0.0, -7.0])
+def test_contact_law(tool_height):
+    k, e, area = FABRIC.compaction, BLEND, 1200.0
+    for p, phi, pressure in (
+        (-0.01, 0.0, 0.0),
+        (0.5 * e, k * e**2 / 48, k * e / 8),
+        (e, k * e**2 / 6, k * e / 2),
+        (4 * e, k * (8 - 2 + 1 / 6) * e**2, 3.5 * k * e),
+    ):
+        term, x = plate(p, tool_height=tool_height)
+        assert_allclose(term.penetration(x), p)
+        assert_allclose(term.pressure(x), pressure, atol=1e-15)
+        assert_allclose(term.energy(x).sum(), area * phi, atol=1e-15)
+        push = term.gradient(x).sum(0)
+        assert_allclose(push, [0, 0, -area * pressure, area * pressure], atol=1e-12)
+
+
+def test_contact_law_is_twice_differentiable_at_touch_and_at_the_end_of_the_blend():
+    for p in (0.0, BLEND):
+        term, below = plate(p - 1e-9)
+        _, above = plate(p + 1e-9)
+        assert_allclose(term.energy(below), term.energy(above), rtol=1e-6, atol=1e-12)
+        assert_allclose(term.gradient(below), term.gradient(above), rtol=1e-6, atol=1e-12)
+        scale = FABRIC.compaction * term.area.max()
+        assert_allclose(
+            term.hessian(below, False), term.hessian(above, False), rtol=0, atol=1e-6 * scale
+        )
+
+
+def test_depth_under_a_plate_carries_its_weight():
+    term, _ = plate(0.0)
+    p = term.depth_under(5.0, 1200.0)
+    assert 0 < p < BLEND
+    _, x = plate(p)
+    assert_allclose(term.gradient(x)[:, 3].sum(), 5.0)
+
+
+def test_exact_and_convex_contact_differ_by_the_curvature_of_the_tool():
+    for name in ("plane", "sphere"):
+        case = contact(name)
+        exact, convex = (case.term.hessian(case.x, flag) for flag in (False, True))
+        if name == "plane":
+            assert_array_equal(exact, convex)
+        else:
+            assert np.linalg.eigvalsh(exact).min() < -0.1
+            assert np.linalg.eigvalsh(convex - exact).min() > -1e-9
+            assert np.abs(convex - exact).max() > 0.1
+
+
+# Friction
+
+DEPTH = 0.1
+PRESSURE = FABRIC.compaction * (DEPTH - BLEND / 2)
+REACH = MU * PRESSURE / STICK  # elastic slide at the limit of stick, mm
+
+
+def slid(x, s, direction=(0.6, 0.8)):
+    moved = x.copy()
+    moved[0:-1:3] += s * direction[0]
+    moved[1:-1:3] += s * direction[1]
+    return moved
+
+
+def test_stick_is_elastic_and_slip_is_limited():
+    normal, x = plate(DEPTH)
+    term = Friction(normal, x)
+    assert_allclose(term.limit, MU * PRESSURE * normal.area)
+    assert_array_equal(term.gradient(x), 0.0)
+    for s in (0.3 * REACH, 0.9 * REACH):
+        force = STICK * s * normal.area[:, None] * [0.6, 0.8, 0.0, 0.0]
+        assert_allclose(term.gradient(slid(x, s)), force, atol=1e-12)
+        assert_allclose(term.energy(slid(x, s)), 0.5 * STICK * s**2 * normal.area)
+    for s in (1.1 * REACH, 20 * REACH):
+        force = MU * PRESSURE * normal.area[:, None] * [0.6, 0.8, 0.0, 0.0]
+        assert_allclose(term.gradient(slid(x, s)), force, atol=1e-12)
+        work = MU * PRESSURE * normal.area * (s - REACH / 2)
+        assert_allclose(term.energy(slid(x, s)), work)
+
+
+def test_a_lightly_touching_node_sticks_and_a_committed_slip_goes_on():
+    for p in (DEPTH, 0.05 * DEPTH):
+        normal, x = plate(p)
+        term = Friction(normal, x)
+        stick = STICK * normal.area[:, None, None] * np.diag([1.0, 1.0, 0.0, 0.0])
+        assert_allclose(term.hessian(x, True), stick, atol=1e-12)
+        far = slid(x, 5 * REACH)
+        term.commit(far)
+        term.refresh(far)
+        along_slip, across = [0.6, 0.8, 0.0, 0.0], [-0.8, 0.6, 0.0, 0.0]
+        assert_allclose(term.hessian(far, True) @ along_slip, 0.0, atol=1e-9)
+        assert (np.abs(term.hessian(far, True) @ across).max(1) > 0.1).all()
+    normal, clear = plate(-DEPTH)
+    assert_array_equal(Friction(normal, clear).hessian(clear, True), 0.0)
+
+
+def test_friction_cases_hold_both_sticking_and_slipping_nodes():
+    for name in SHAPES:
+        case = friction(name)
+        force = np.linalg.norm(case.term.force(case.x), axis=1)
+        touching = case.term.limit > 0
+        slipping = force[touching] > (1 - 1e-9) * case.term.limit[touching]
+        assert slipping.any()
+        assert not slipping.all()
+
+
+def test_exact_and_convex_friction_are_the_same():
+    case = friction("opening")
+    assert_array_equal(case.term.hessian(case.x, True), case.term.hessian(case.x, False))
+
+
+def test_commit_moves_the_anchor_of_a_slipping_node():
+    """The force stays as it is, and a step back unloads elastically."""
+    normal, x = plate(DEPTH)
+    term = Friction(normal, x)
+    far = slid(x, 5 * REACH)
+    force = term.gradient(far)
+    term.commit(far)
+    term.refresh(far)
+    assert_allclose(term.gradient(far), force, rtol=1e-12)
+    assert_allclose(term.gradient(slid(x, 4.5 * REACH)), 0.5 * force, rtol=1e-9, atol=1e-12)
+    assert_allclose(term.gradient(slid(x, 4 * REACH)), 0.0, atol=1e-9)
+    assert_allclose(term.gradient(slid(x, 3 * REACH)), -force, rtol=1e-9, atol=1e-12)
+
+
+def test_commit_leaves_the_anchor_of_a_sticking_node():
+    normal, x = plate(DEPTH)
+    term = Friction(normal, x)
+    near = slid(x, 0.5 * REACH)
+    term.commit(near)
+    term.refresh(near)
+    assert_allclose(term.gradient(x), 0.0, atol=1e-12)
+
+
+def test_refreshing_at_the_committed_state_undoes_what_came_since():
+    case = friction("opening")
+    term = case.term
+    term.refresh(case.x)
+    term.commit(case.x)
+    term.refresh(case.x)
+    before = memory(term)
+    ahead = case.x + np.random.default_rng(3).uniform(-0.5, 0.5, len(case.x))
+    term.refresh(ahead)
+    assert any((a != b).any() for a, b in zip(before, memory(term), strict=True))
+    term.refresh(case.x)
+    for a, b in zip(before, memory(term), strict=True):
+        assert_array_equal(a, b)
+
+
+def test_new_contact_is_anchored_where_it_touched():
+    """From 0.1 mm clear to 0.1 mm inside while sliding by s: it has touched halfway."""
+    normal, clear = plate(-DEPTH)
+    _, pressed = plate(DEPTH)
+    s = 0.8 * REACH
+    term = Friction(normal, clear)
+    end = slid(pressed, s)
+    assert_array_equal(term.gradient(end), 0.0)  # no normal force is known yet
+    term.refresh(end)
+    force = STICK * 0.5 * s * normal.area[:, None] * [0.6, 0.8, 0.0, 0.0]
+    assert_allclose(term.gradient(end), force, atol=1e-9)
+
+
+def test_node_that_left_the_tool_forgets_its_anchor():
+    normal, x = plate(DEPTH)
+    _, clear = plate(-DEPTH)
+    term = Friction(normal, x)
+    away = slid(clear, 3.0)
+    term.refresh(away)
+    term.commit(away)
+    term.refresh(away)
+    assert_array_equal(term.energy(away), 0.0)
+    back = slid(x, 3.0)
+    term.refresh(back)
+    assert_allclose(term.gradient(back), 0.0, atol=1e-9)
+
+
+def test_change_of_the_normal_force_moves_no_force_onto_a_node_that_has_not_slipped():
+    normal, x = plate(DEPTH)
+    term = Friction(normal, x)
+    stuck = slid(x, 0.5 * REACH)
+    force = term.gradient(stuck)
+    _, deeper = plate(3 * DEPTH)
+    limit = term.limit.copy()
+    term.refresh(deeper)
+    assert (term.limit > 2 * limit).all()
+    assert_array_equal(term.gradient(x), 0.0)
+    assert_array_equal(term.gradient(deeper), 0.0)
+    assert_allclose(term.gradient(stuck), force, rtol=1e-12)
+
+
+def test_anchor_rides_with_its_tool():
+    """A punch that moves down past a still sheet drags at it and is held back by as much."""
+    blank = BLANKS["aligned"]
+    punch = Tool("punch", SHAPES["punch"], friction=MU)
+    normal = Contact(blank, FABRIC, punch, 3 * len(blank.nodes))
+    offset = 25.0 + FABRIC.thickness / 2 - DEPTH
+    around = blank.nodes[:, 0] / offset
+    shaft = np.column_stack(
+        [offset * np.cos(around), offset * np.sin(around), 60 + blank.nodes[:, 1]]
+    )
+    x = np.append(shaft.ravel(), 0.0)
+    term = Friction(normal, x)
+    down = x.copy()
+    down[-1] -= 0.5 * REACH
+    force = 0.5 * STICK * REACH * normal.area[:, None] * [0.0, 0.0, 1.0, -1.0]
+    assert_allclose(term.gradient(down), force, atol=1e-9)
+    together = x - np.append(np.tile([0.0, 0.0, 2.0], len(shaft)), 2.0)
+    assert_allclose(term.gradient(together), 0.0, atol=1e-9)
+
+
+# Weight
+
+
+def test_dead_loads():
+    blank = BLANKS["aligned"]
+    sheet = SheetWeight(blank, 0.02, 3 * len(blank.nodes))
+    x = flat(blank, rigid=1)
+    x[2:-1:3], x[-1] = 3.0, 0.5
+    assert_allclose(sheet.energy(x).sum(), 0.5 * 0.02 * 1200.0 * 3.0)
+    assert_allclose(sheet.gradient(x).sum(0), [0.5 * 0.02 * 1200.0, 0.02 * 1200.0 * 3.0])
+    tool = ToolWeight(5.0, 0)
+    assert_allclose(tool.gradient(np.array([2.0])), [[49.05]])
+    assert_allclose(tool.energy(np.array([2.0])), [98.1])
+    assert GRAVITY == 9.81e-3

@@ -1,0 +1,151 @@
+"""Linear solvers: one solution from all of them, negative pivots counted, little fill."""
+
+import sys
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.sparse import csr_array
+from scipy.sparse.linalg import splu
+
+from quasiform.blank import rectangle
+from quasiform.checks import InputError
+from quasiform.energy import Potential
+from quasiform.energy.contact import Contact
+from quasiform.energy.membrane import Membrane
+from quasiform.material import Fabric
+from quasiform.solve.linear import SingularMatrixError, linear_solver, nested_dissection
+from quasiform.tool import Plane, Tool
+
+
+class System:
+    """A stretched membrane that rests on a floating plate, held along one edge."""
+
+    def __init__(self, size=5.0):
+        blank = rectangle(80.0, 60.0, size)
+        n = len(blank.nodes)
+        held = np.isclose(blank.nodes[:, 0], -40.0)
+        free = np.append(np.repeat(~held, 3), True)
+        plate = Contact(blank, Fabric(), Tool("plate", Plane()), 3 * n)
+        potential = Potential([Membrane(blank, Fabric(), 3), plate], free)
+        z = np.random.default_rng(0).uniform(0.3, 0.49, n)
+        x = np.append(np.column_stack([1.02 * blank.nodes, z]).ravel(), 0.0)
+        self.pattern = potential.pattern
+        self.values, _ = potential.hessian(x, convex=True)
+        points = np.append(np.repeat(blank.nodes, 3, axis=0), [[np.nan, np.nan]], axis=0)
+        self.points = points[free]
+        rigid = np.zeros((len(x), 4))
+        for i in range(3):
+            rigid[i:-1:3, i] = 1.0
+        rigid[-1, 2] = 1.0  # the plate moves up with the sheet
+        rigid[0:-1:3, 3], rigid[1:-1:3, 3] = -blank.nodes[:, 1], blank.nodes[:, 0]
+        self.rigid = rigid[free]
+        self.b = np.random.default_rng(1).normal(size=len(self.points))
+
+    def solver(self, name):
+        if name == "pardiso":
+            pytest.importorskip("pymklpardiso")
+        return linear_solver(name, self.pattern, self.points, self.rigid)
+
+    def matrix(self, values):
+        p = self.pattern
+        upper = csr_array((values, p.indices, p.indptr), shape=p.shape).toarray()
+        return upper + np.triu(upper, 1).T
+
+    @property
+    def diagonal(self):
+        """Places of the diagonal in the values: the first of each row of an upper triangle."""
+        return self.pattern.indptr[:-1]
+
+
+@pytest.fixture(scope="module")
+def system():
+    return System()
+
+
+every_solver = pytest.mark.parametrize("name", ["superlu", "pardiso", "amg"])
+direct_solver = pytest.mark.parametrize("name", ["superlu", "pardiso"])
+
+
+@every_solver
+def test_solvers_agree(system, name):
+    """Also with a second set of values, and for several right-hand sides."""
+    solver = system.solver(name)
+    assert solver.name == name
+    stiffer = system.values.copy()
+    stiffer[system.diagonal] *= 1.5
+    for values in (system.values, stiffer):
+        K = system.matrix(values)
+        assert solver.factor(values) == 0
+        for b in (system.b, np.roll(system.b, 7)):
+            exact = np.linalg.solve(K, b)
+            before = b.copy()
+            assert_allclose(solver.solve(b), exact, rtol=0, atol=1e-5 * np.abs(exact).max())
+            assert_array_equal(b, before)
+
+
+@direct_solver
+@pytest.mark.parametrize("count", [0, 1, 2, 5])
+def test_negative_eigenvalues_are_counted(system, name, count):
+    values = system.values.copy()
+    some = np.linspace(10, len(system.b) - 1, 5).astype(int)[:count]
+    values[system.diagonal[some]] -= 1e5
+    K = system.matrix(values)
+    assert (np.linalg.eigvalsh(K) < 0).sum() == count
+    solver = system.solver(name)
+    assert solver.inertia
+    assert solver.factor(values) == count
+    exact = np.linalg.solve(K, system.b)
+    assert_allclose(solver.solve(system.b), exact, rtol=0, atol=1e-5 * np.abs(exact).max())
+
+
+def test_multigrid_does_not_pretend_to_count(system):
+    assert not system.solver("amg").inertia
+
+
+def test_singular_matrix_is_refused(system):
+    with pytest.raises(SingularMatrixError):
+        system.solver("superlu").factor(0 * system.values)
+
+
+def test_nested_dissection_is_a_permutation_with_rigid_motions_last(system):
+    order = nested_dissection(system.points)
+    assert_array_equal(np.sort(order), np.arange(len(system.points)))
+    assert order[-1] == len(system.points) - 1
+    assert_array_equal(nested_dissection(np.full((3, 2), np.nan)), [0, 1, 2])
+
+
+def test_nested_dissection_has_less_fill_than_the_natural_order():
+    system = System(size=2.5)
+    K = csr_array(system.matrix(system.values))
+
+    def fill(order):
+        factor = splu(
+            K[order][:, order].tocsc(),
+            permc_spec="NATURAL",
+            diag_pivot_thresh=0.0,
+            options={"SymmetricMode": True},
+        )
+        return factor.L.nnz
+
+    dissected = fill(nested_dissection(system.points))
+    assert dissected < 0.8 * fill(np.arange(len(system.b)))
+    assert dissected < 0.2 * fill(np.random.default_rng(0).permutation(len(system.b)))
+
+
+def test_unknown_solver_is_refused_with_a_suggestion(system):
+    with pytest.raises(InputError, match=r"unknown linear solver 'paradiso': .* 'pardiso'\?"):
+        system.solver("paradiso")
+
+
+def test_missing_pardiso_is_named_or_replaced(system, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pymklpardiso", None)
+    arguments = system.pattern, system.points, system.rigid
+    with pytest.raises(InputError, match=r"'pardiso' is not installed: pip install"):
+        linear_solver("pardiso", *arguments)
+    assert linear_solver("auto", *arguments).name == "superlu"
+
+
+def test_auto_takes_pardiso_where_it_is_installed(system):
+    pytest.importorskip("pymklpardiso")
+    assert system.solver("auto").name == "pardiso"

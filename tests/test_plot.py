@@ -1,0 +1,218 @@
+"""The pictures exist, show something, and show it rightly, for every kind of result."""
+
+from dataclasses import replace
+
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from matplotlib.image import imread
+
+import quasiform as qf
+from quasiform import plot
+from quasiform.blank import rotation
+from quasiform.plot import save_pictures
+
+SCENES = {
+    "formed": lambda: qf.forming(size=30, travel=10),
+    "formed, turned fibres": lambda: qf.forming(size=30, travel=10, orientation=45),
+    "off-axis": lambda: qf.off_axis_tension(displacement=10, size=40),
+    "picture frame": lambda: qf.picture_frame(size=25),
+    "cantilever": lambda: qf.cantilever(100, 7e-6, width=20, size=10),
+}
+
+
+@pytest.fixture(scope="module")
+def results():
+    return {name: qf.solve(scene()) for name, scene in SCENES.items()}
+
+
+def pictures(result, folder):
+    """Both pictures, (height, width, 3), from 0 to 1."""
+    save_pictures(result, folder)
+    shown = [imread(folder / name)[..., :3] for name in ("shear_angle.png", "history.png")]
+    for picture in shown:
+        assert picture.shape[1] == pytest.approx(16 / 2.54 * 200, abs=1)
+        assert picture.std() > 0.03
+    return shown
+
+
+def painted(result):
+    """Faces of the sheet seen from above, from far to near: colours, and corners (n, 3, 2)."""
+    axes = Figure().subplots()
+    plot._draw_from_above(axes, result, plot._colour_scale(result))
+    (sheet,) = axes.collections
+    filled = sheet.get_facecolors()[:, 3] > 0
+    corners = np.array([path.vertices[:3] for path in sheet.get_paths()])
+    return sheet.get_facecolors()[filled, :3], corners[filled]
+
+
+def with_end(result, x):
+    """Replace the end state's x."""
+    return replace(result, states=[*result.states[:-1], replace(result.states[-1], x=x)])
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_pictures_are_written(results, name, tmp_path):
+    pictures(results[name], tmp_path)
+
+
+@pytest.mark.parametrize("name", ["formed", "off-axis"])
+def test_pictures_of_the_start_alone(results, name, tmp_path):
+    pictures(replace(results[name], states=results[name].states[:1]), tmp_path)
+
+
+@pytest.mark.parametrize("name", ["formed, turned fibres", "picture frame", "cantilever"])
+def test_pictures_of_a_bare_scene(results, name, tmp_path):
+    result = results[name]
+    scene = replace(result.scene, parameters={}, measures={}, areas={}, edges={}, travel=0.0)
+    states = [replace(state, travel=0.0, force=0.0, measures={}) for state in result.states]
+    pictures(replace(result, scene=scene, states=states), tmp_path)
+
+
+def test_odd_parameters_are_left_alone(results, tmp_path):
+    result = results["off-axis"]
+    odd = {"size": "coarse", "length": None, "width": "160 mm", "angle": [45]}
+    scene = replace(result.scene, name="$5_{$", parameters=odd)
+    pictures(replace(result, scene=scene), tmp_path)
+    assert plot._off_axis_theory(replace(result, scene=scene)) is None
+
+
+def test_mesh_across_the_fibres(results, tmp_path):
+    scene = qf.picture_frame(size=25)
+    blank = replace(scene.blank, warp=rotation(17)[0], weft=rotation(17)[1])
+    pictures(replace(results["picture frame"], scene=replace(scene, blank=blank)), tmp_path)
+
+
+def test_settings_of_matplotlib_are_left_alone(results, tmp_path):
+    with matplotlib.rc_context({"font.size": 11}):
+        save_pictures(results["off-axis"], tmp_path)
+        assert matplotlib.rcParams["font.size"] == 11
+
+
+def test_stopped_run_is_marked(results):
+    result = results["off-axis"]
+    stopped = replace(result, states=result.states[:2], reason="line search failed")
+    for shown, times in ((result, 0), (stopped, 1)):
+        for axes in plot._history_figure(shown).axes:
+            marks = [line for line in axes.get_lines() if line.get_marker() == "X"]
+            assert [list(m.get_xdata()) for m in marks].count([5.0]) == times
+    (axes, _) = plot._history_figure(stopped).axes
+    assert "stopped at 5 mm" in axes.get_legend_handles_labels()[1]
+    assert axes.get_xlim()[1] > 10
+
+
+def test_force_after_a_collapse_is_set_apart(results):
+    result = replace(results["off-axis"], collapse={"travel_mm": 10.0})
+    (axes, _) = plot._history_figure(result).axes
+    sound, after = axes.get_lines()[:2]
+    assert sound.get_xdata().max() == 5.0
+    assert (after.get_xdata().min(), after.get_xdata().max()) == (5.0, 10.0)
+    assert "not meaningful" in after.get_label()
+
+
+def test_collapsed_triangles_have_their_own_colour(results):
+    result = results["off-axis"]
+    x = result.states[-1].x.copy()
+    middle = np.linalg.norm(result.scene.blank.nodes, axis=1).argmin()
+    x[2 * middle] += 60.0  # past its neighbours
+    folded = with_end(result, x)
+    assert 0 < plot._collapsed(folded).sum() <= 8
+    for shown in (result, folded):
+        colours, _ = painted(shown)
+        count = np.isclose(colours, to_rgb(plot.COLLAPSED)).all(1).sum()
+        assert count == plot._collapsed(shown).sum()
+
+
+def test_off_axis_closed_form(results):
+    u, gamma, force = plot._off_axis_theory(results["off-axis"])
+    assert (u[-1], gamma[-1]) == pytest.approx((10.0, 7.41), abs=5e-3)
+    assert force[-1] == pytest.approx(8.07, abs=5e-3)  # reference: exact, 45°, 320 x 160
+    assert plot._off_axis_theory(results["picture frame"]) is None
+    assert plot._off_axis_theory(results["cantilever"]) is None
+
+
+def test_closed_form_ends_at_its_limit():
+    scene = qf.off_axis_tension(angle=30, displacement=5, size=40)
+    result = replace(qf.solve(scene), scene=replace(scene, travel=60.0))
+    u, _, _ = plot._off_axis_theory(result)
+    assert u[-1] == pytest.approx(21.96, abs=0.05)
+
+
+def test_locking_force_gets_a_log_scale():
+    axes = Figure().subplots()
+    smooth = np.linspace(0.0, 20.0, 11)
+    assert not plot._scale_force(axes, smooth, smooth)
+    locking = np.append(smooth, [300.0, 4000.0])
+    assert plot._scale_force(axes, locking, locking)
+    assert axes.get_yscale() == "log"
+
+
+def test_bowl_is_turned_over_not_mirrored(results):
+    formed = results["formed"]
+    assert plot._is_bowl(formed, formed.positions())
+    assert not plot._is_bowl(formed, -formed.positions())
+    assert not plot._is_bowl(results["cantilever"], results["cantilever"].positions())
+    for turned_over, up in ((False, 1.0), (True, -1.0)):
+        view = plot._view(turned_over)
+        np.testing.assert_allclose(view @ view.T, np.eye(3), atol=1e-12)
+        assert np.linalg.det(view) == pytest.approx(1.0)
+        assert np.sign(view[1, 2]) == up  # z on the picture
+        assert np.sign(view[2, 2]) == up  # seen from slightly above that side
+
+
+def test_colour_scale_is_round_and_covers_the_sheet(results):
+    assert plot._colour_scale(results["formed"]).norm.vmax == 10
+    assert plot._colour_scale(results["picture frame"]).norm.vmax == 60
+
+
+def test_fibre_lines_are_whole_and_evenly_spaced():
+    blank = qf.rectangle(300, 200, 5, orientation=30)
+    segments = plot._fibre_lines(blank, 15.0)
+    step = np.diff(blank.nodes[segments], axis=1)[:, 0]
+    weft = np.abs(step @ blank.weft) > np.abs(step @ blank.warp)
+    apart = np.diff(np.unique((blank.nodes[segments[weft]].mean(1) @ blank.warp).round(3)))
+    assert apart.min() > 10
+    assert apart.max() < 20
+    # lines this far apart are as long, together, as the area over their distance
+    length = np.linalg.norm(step[weft], axis=1).sum()
+    assert length == pytest.approx(blank.areas.sum() / apart.mean(), rel=0.1)
+
+
+def test_rings_move_with_the_sheet():
+    blank = qf.rectangle(100, 80, 10, orientation=20)
+    A = np.array([[1.1, 0.3], [0.2, 0.9]])
+    points = np.array([[3.0, 4.0], [-21.3, 17.7], [60.0, 0.0]])  # the last one is off the blank
+    carried = plot._carried(blank, blank.nodes @ A.T + [5.0, 6.0], points)
+    np.testing.assert_allclose(carried, points[:2] @ A.T + [5.0, 6.0], atol=1e-9)
+
+
+def test_grips_lie_outside_the_specimen(results):
+    result = results["off-axis"]
+    grips = plot._draw_grips(Figure().subplots(), result, result.positions())
+    left, right = sorted(grips, key=lambda outline: outline[:, 0].min())
+    assert left[:, 0].max() == pytest.approx(-160.0)
+    assert right[:, 0].min() == pytest.approx(170.0)
+    for grip in grips:
+        assert np.ptp(grip[:, 1]) == pytest.approx(160.0)
+
+
+def test_draw_in_stands_at_each_edge_of_a_mirrored_blank(results):
+    axes = Figure().subplots()
+    plot._draw_draw_in_arrows(axes, results["formed"])
+    numbers = [text for text in axes.texts if text.get_text()]
+    places = np.array([text.get_position() for text in numbers])
+    assert len(numbers) == 4
+    np.testing.assert_allclose(places.sum(0), 0.0, atol=1e-9)
+    assert np.abs(places).max() > 155
+
+
+def test_far_side_is_hidden(results):
+    """The nearer triangle is painted later."""
+    result = results["formed"]
+    P = result.positions()[result.blank.triangles]
+    depth = {tuple(p[:, :2].mean(0).round(6)): p[:, 2].mean() for p in P}
+    _, corners = painted(result)
+    assert len(corners) == len(P)
+    assert np.all(np.diff([depth[tuple(c.mean(0).round(6))] for c in corners]) >= -1e-9)
