@@ -13,6 +13,7 @@ one line, the net stays isostatic and does not lock.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -204,7 +205,7 @@ def _lines_through(points: FloatArray, size: float) -> FloatArray:
     stops = stops[np.r_[True, np.diff(stops) > 1e-6 * size]]
     pieces = [
         np.linspace(p, q, max(1, round((q - p) / size)), endpoint=False)
-        for p, q in zip(stops[:-1], stops[1:], strict=True)
+        for p, q in itertools.pairwise(stops)
     ]
     return np.append(np.concatenate(pieces), stops[-1])
 

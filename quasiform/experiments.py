@@ -226,7 +226,7 @@ def forming(
         )
     if size > min(shape.length, shape.width) / 8:
         raise InputError(
-            f"size must not exceed an eighth of the blank, {min(shape.length, shape.width) / 8:g} mm, "
+            f"size must not exceed an eighth of the blank, {min(shape.length, shape.width) / 8:g}, "
             f"got {size:g}"
         )
     if fabric.bending_warp == 0 or fabric.bending_weft == 0:

@@ -53,7 +53,7 @@ class Result:
     linear_solver : str
     rescues : dict of rung to count
     residual : float
-        Sum of the nodal residuals at the end relative to the driving force, lagged values refreshed.
+        Sum of the nodal residuals at the end relative to the driving force, lags refreshed.
     energy_balance : float
         |work in - stored - dissipated| / work in.
     negative_pivots : int or None

@@ -5,6 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from quasiform.blank import rectangle, rotation
+from quasiform.checks import InputError
 from quasiform.energy.membrane import Membrane
 from quasiform.material import Fabric
 
@@ -101,6 +102,37 @@ def test_only_triangles_at_the_outline_of_a_cut_net_miss_a_leg(angle):
     assert set(legs[~inside]) == {1, 2}
 
 
+def cells(blank):
+    """(n_triangles,) number of the cell between fibre lines that holds the triangle."""
+    number = 0
+    for family, across in (("warp", blank.weft), ("weft", blank.warp)):
+        first, _ = blank.fibre_lines(family).t
+        lines = np.unique(np.round(blank.nodes[first] @ across, 6))
+        number = 1000 * number + np.searchsorted(lines, blank.centroids @ across)
+    return np.unique(number, return_inverse=True)[1]
+
+
+@pytest.mark.parametrize("angle", [30, 45, 60, 37.5])
+def test_every_cell_cut_by_the_outline_keeps_a_right_corner(angle):
+    """A triangle with both legs on fibres, which carries the shear of the cell."""
+    blank = specimen(angle)
+    cell = cells(blank)
+    assert (np.bincount(cell, fibre_legs(blank) == 2) >= 1).all()
+    assert np.bincount(cell).max() == (2 if angle == 45 else 4)
+
+
+@pytest.mark.parametrize("size", [10.0, 9.4, 8.0, 7.0])
+def test_diagonals_alternate_up_to_an_outline_at_45_degrees(size):
+    """Four triangles meet in every node of the outline, as diagonals of the net run along it."""
+    blank = rectangle(60.0, 40.0, size, orientation=45.0)
+    meeting = np.bincount(blank.triangles.ravel())
+    on_edge = np.isclose(np.abs(blank.nodes), [30.0, 20.0])
+    assert_array_equal(fibre_legs(blank), 2)
+    assert_array_equal(meeting[on_edge.sum(1) == 1], 4)
+    assert_array_equal(meeting[on_edge.sum(1) == 2], 2)
+    assert set(meeting[~on_edge.any(1)]) == {4, 8}
+
+
 @pytest.mark.parametrize("angle", [30, 45, 60, 52.25])
 def test_a_fibre_line_ends_in_every_grip_corner(angle):
     blank = specimen(angle)
@@ -146,6 +178,17 @@ def test_fibre_lines_cover_the_blank(make, area, family):
 def test_size_of_the_45_degree_specimen():
     blank = specimen(45)
     assert (len(blank.triangles), len(blank.nodes)) == (2048, 1073)
+
+
+def test_size_larger_than_the_blank_makes_one_cell():
+    blank = rectangle(10.0, 8.0, 30.0)
+    assert len(blank.triangles) == 2
+    assert blank.size == 30.0
+
+
+def test_absurdly_fine_mesh_is_refused():
+    with pytest.raises(InputError, match="size 0.001 mm on 320 x 160 mm makes more than"):
+        rectangle(LENGTH, WIDTH, 0.001)
 
 
 @pytest.mark.parametrize(("orientation", "spacing"), [(0.0, 100 / 14), (45.0, None)])

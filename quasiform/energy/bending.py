@@ -11,8 +11,8 @@ fraction r of the stiffness: B/2 [(1 - r)(n·k)² + r |k|²]. It is an exact pot
 of the same five nodes and is differentiated with the rest.
 
 A clamp or a mirror plane supplies the missing neighbour and counts for the half of the stencil's
-area that lies in the model: k = 2 (x₁ - x₀ - l t)/l² at a clamp with the direction t. A free end has
-no stencil: its curvature is the natural condition zero.
+area that lies in the model: k = 2 (x₁ - x₀ - l t)/l² at a clamp with the direction t. A free end
+has no stencil: its curvature is the natural condition zero.
 """
 
 from __future__ import annotations
@@ -136,8 +136,9 @@ class Bending:
         return (force.reshape(-1, 1, 12) @ self.operator)[:, 0]
 
     def hessian(self, x: FloatArray, convex: bool) -> FloatArray:
-        """Stiffness of each stencil, N/mm; with `convex` the part with κ's second derivative left
-        out (Gauss-Newton), which is positive semi-definite.
+        """Stiffness of each stencil, N/mm; positive semi-definite with `convex`.
+
+        The convex variant leaves out the part with the second derivative of κ (Gauss-Newton).
         """
         _, u, v, n, length, kappa, q, d = self._first_derivative(x)
         r, count = self.in_plane, len(u)

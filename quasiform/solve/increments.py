@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from .relaxation import relax
 
 FloatArray = np.ndarray
 SHORTEST = 1 / 64  # of the largest increment
+WEIGHED = 5e-3  # of the work to come: what an increment may miss by the trapezoidal rule
 
 
 @dataclass(frozen=True)
@@ -97,26 +98,30 @@ def solve(
         x = run.start()
     except NotConvergedError as error:
         x, reason = scene.x0, f"at the start: {error}"
-    run.account(x, 0.0)
+        run.back_to(x, 0.0)
+    run.open(x)
     states.append(run.state(x, 0.0))
     # the first response is the most curved
     s, step = 0.0, largest / 16 if method == "newton" else largest
     while not reason and s < scene.travel * (1 - 1e-12):
-        goal = min(rows * np.floor(s / rows * (1 + 1e-12) + 1), scene.travel)
+        goal = float(min(rows * np.floor(s / rows * (1 + 1e-12) + 1), scene.travel))
         target = goal if s + step * (1 + 1e-6) >= goal else s + step
         before = equilibrium.linear_solves
+        finest = increment is not None or target - s <= largest / 16
         try:
-            x = run.advance(x, s, target, rescue=step <= shortest)
-        except NotConvergedError as error:
-            if step <= shortest:
-                reason = f"at {s:.4g} of {scene.travel:.4g}: {error}"
+            x = run.advance(x, s, target, rescue=step <= shortest, weigh=not finest)
+        except (NotConvergedError, _TooCoarseError) as error:
+            run.back_to(x, s)
+            if isinstance(error, NotConvergedError):
+                run.count("shorter step")
+                if step <= shortest:
+                    reason = f"at {s:.4g} of {scene.travel:.4g}: {error}"
             step = max(0.5 * min(step, target - s), shortest)
-            run.count("shorter step")
             continue
         except KeyboardInterrupt:
+            run.back_to(x, s)
             reason = f"interrupted between {s:.4g} and {target:.4g} of {scene.travel:.4g}"
             break
-        run.account(x, target)
         s = target
         if equilibrium.linear_solves - before <= 30:
             step = min(2.0 * step, largest)
@@ -127,8 +132,8 @@ def solve(
                 Progress(
                     s,
                     scene.travel,
-                    run.residual,
-                    states[-1].force if s == goal else run.force / scene.share,
+                    equilibrium.residual(equilibrium.potential.gradient(x)),
+                    run.books[-1].force / scene.share,
                     sum(int((c.penetration(x) > 0).sum()) for c in scene.contacts),
                     equilibrium.linear_solves,
                     time.perf_counter() - clock,
@@ -146,6 +151,20 @@ def solve(
     return result
 
 
+class _TooCoarseError(ArithmeticError):
+    """An increment over which the trapezoidal rule misses the work."""
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """Energy account of an equilibrium state."""
+
+    travel: float
+    force: float
+    stored: float
+    rubbing: list[tuple[FloatArray, FloatArray]]  # force and place of the nodes on each tool
+
+
 class _Run:
     """The bookkeeping of one run: work, friction losses, rescues, certificate."""
 
@@ -153,13 +172,9 @@ class _Run:
         self.equilibrium, self.method = equilibrium, method
         self.scene = equilibrium.scene
         self.rescues: dict[str, int] = {}
-        self.increments = 0
-        self.work = self.friction_work = self.driven = 0.0
-        self.force = self.residual = 0.0
-        self.negative_pivots: int | None = None
-        self._last: tuple[float, list[tuple[FloatArray, FloatArray]]] | None = None
-        self._stored = self._stored_at_start = 0.0
-        self.collapse: dict[str, float] | None = None
+        self.books: list[_Entry] = []
+        self.work = self.gap = 0.0
+        self.collapse: dict[str, Any] | None = None
 
     def count(self, rung: str) -> None:
         self.rescues[rung] = self.rescues.get(rung, 0) + 1
@@ -172,26 +187,45 @@ class _Run:
             self._commit(x)
         return x
 
-    def advance(self, x: FloatArray, s: float, target: float, rescue: bool) -> FloatArray:
-        """Carry the state x at travel s to the travel `target`; a failure leaves no trace."""
+    def open(self, x: FloatArray) -> None:
+        """Open the books at the start."""
+        self.books.append(self._entry(x, 0.0))
+
+    def advance(
+        self, x: FloatArray, s: float, target: float, rescue: bool, weigh: bool
+    ) -> FloatArray:
+        """Carry the state x at travel s to the travel `target` and commit it.
+
+        Raises
+        ------
+        NotConvergedError
+        _TooCoarseError
+            With `weigh`, if the energy balance of the increment is open by too much.
+        """
         equilibrium = self.equilibrium
         try:
             if self.method == "relaxation":
                 moved = self._relax(x, target)
             else:
                 moved = self._solve(equilibrium.predict(x, target))
-        except NotConvergedError as error:
-            self._back_to(x, s)
+        except NotConvergedError:
             if not rescue or self.method == "relaxation":
                 raise
+            self.back_to(x, s)
             self.count("dynamic relaxation")
-            try:
-                moved = self._solve(self._relax(x, target, 1e-2, 5000))
-            except NotConvergedError:
-                self._back_to(x, s)
-                raise error from None
+            moved = self._solve(self._relax(x, target, 1e-2, 5000))
+        entry = self._entry(moved, target)
+        work, gap = self._work(entry)
+        # at the end there will be at least the work so far in proportion to the travel
+        expected = (abs(self.work) + abs(work)) * self.scene.travel / target
+        if weigh and abs(gap) > WEIGHED * expected:
+            raise _TooCoarseError
+        self.books.append(entry)
+        self.work += work
+        self.gap += gap
         self._commit(moved)
-        self.increments += 1
+        if self.collapse is None:
+            self.collapse = self.scene.collapsed(moved, target)
         return moved
 
     def _relax(self, x: FloatArray, target: float, *limits: float) -> FloatArray:
@@ -201,7 +235,7 @@ class _Run:
     def _solve(self, x: FloatArray) -> FloatArray:
         return self._leave_saddles(self.equilibrium.settle(x))
 
-    def _back_to(self, x: FloatArray, s: float) -> None:
+    def back_to(self, x: FloatArray, s: float) -> None:
         """Undo what a failed increment has lagged."""
         self.equilibrium.travel = s
         for term in self.scene.frictions:
@@ -227,40 +261,44 @@ class _Run:
         for term in self.scene.frictions:
             term.commit(x)
 
-    def account(self, x: FloatArray, s: float) -> None:
-        """Work and friction losses by the trapezoidal rule since the last increment."""
-        scene, potential = self.scene, self.equilibrium.potential
-        g = potential.gradient(x)
-        self.force = self.equilibrium.force(g)
-        self.residual = self.equilibrium.residual(g)
-        stored = float(sum(t.energy(x).sum() for t in scene.terms if not isinstance(t, Friction)))
-        rubbing = [(t.force(x), t.contact.relative(x)) for t in scene.frictions]
-        if self._last is None:
-            self._stored_at_start = stored
-        else:
-            force, before = self._last
-            self.work += 0.5 * (force + self.force) * (s - self.driven)
-            for (f0, p0), (f1, p1) in zip(before, rubbing, strict=True):
-                self.friction_work += float((0.5 * (f0 + f1) * (p1 - p0)).sum())
-        self._stored = stored
-        self._last = self.force, rubbing
-        self.driven = s
-        if self.collapse is None:
-            self.collapse = scene.collapsed(x, s)
+    def _entry(self, x: FloatArray, s: float) -> _Entry:
+        scene = self.scene
+        return _Entry(
+            travel=s,
+            force=self.equilibrium.force(self.equilibrium.potential.gradient(x)),
+            stored=float(
+                sum(t.energy(x).sum() for t in scene.terms if not isinstance(t, Friction))
+            ),
+            rubbing=[(t.force(x), t.contact.relative(x)) for t in scene.frictions],
+        )
+
+    def _work(self, now: _Entry) -> tuple[float, float]:
+        """Work done since the last entry by the trapezoidal rule, and what the balance misses."""
+        last = self.books[-1]
+        work = 0.5 * (last.force + now.force) * (now.travel - last.travel)
+        rubbed = sum(
+            float((0.5 * (f0 + f1) * (p1 - p0)).sum())
+            for (f0, p0), (f1, p1) in zip(last.rubbing, now.rubbing, strict=True)
+        )
+        return work, work - (now.stored - last.stored) - rubbed
 
     def state(self, x: FloatArray, s: float) -> State:
         measures = {name: measure(x) for name, measure in self.scene.measures.items()}
         return State(
-            s, x.copy(), self.force / self.scene.share, self.equilibrium.linear_solves, measures
+            s,
+            x.copy(),
+            self.books[-1].force / self.scene.share,
+            self.equilibrium.linear_solves,
+            measures,
         )
 
     def result(self, states: list[State], reason: str, wall: float) -> Result:
-        balance = self.work - (self._stored - self._stored_at_start) - self.friction_work
         x = states[-1].x
         g = self.equilibrium.potential.gradient(x)
         negative = None
         if self.equilibrium.solver.inertia:
-            negative, _ = self.equilibrium.factor(x, convex=False)
+            with suppress(NotConvergedError):  # a stopped run may have no tangent
+                negative, _ = self.equilibrium.factor(x, convex=False)
         return Result(
             scene=self.scene,
             states=states,
@@ -268,10 +306,10 @@ class _Run:
             wall_s=wall,
             linear_solves=self.equilibrium.linear_solves,
             linear_solver=self.equilibrium.solver.name,
-            increments=self.increments,
+            increments=len(self.books) - 1,
             rescues=self.rescues,
             residual=self.equilibrium.residual(g, certified=True),
-            energy_balance=abs(balance) / max(abs(self.work), 1e-12),
+            energy_balance=abs(self.gap) / max(abs(self.work), 1e-12),
             negative_pivots=negative,
             collapse=self.collapse,
         )

@@ -99,13 +99,21 @@ class Equilibrium:
         """Factorise the tangent; number of negative pivots, and its product with a motion.
 
         The factor of an accepted state, made for its certificate, serves the next prediction too.
+
+        Raises
+        ------
+        NotConvergedError
+            If the tangent is singular.
         """
         values, load = self.potential.hessian(x, convex, motion)
         known = self._factored
         if known is None or known[1] != convex or not np.array_equal(known[0], x):
             self._factored = None
             self.linear_solves += 1
-            self._factored = x.copy(), convex, self.solver.factor(values)
+            try:
+                self._factored = x.copy(), convex, self.solver.factor(values)
+            except SingularMatrixError as error:
+                raise NotConvergedError(f"the tangent is singular: {error}", x, np.inf) from error
         return self._factored[2], load
 
     def factor_definite(
@@ -123,7 +131,7 @@ class Equilibrium:
                 negative, load = self.factor(x, False, motion)
                 if negative == 0:
                     return True, load
-            except SingularMatrixError:
+            except NotConvergedError:
                 pass
         _, load = self.factor(x, True, motion)
         return False, load
@@ -141,7 +149,7 @@ class Equilibrium:
         return x + motion
 
     def motion_to(self, x: FloatArray, travel: float) -> FloatArray:
-        """(n_dofs,) motion of the prescribed degrees of freedom from x to their place at `travel`."""
+        """(n_dofs,) motion of the prescribed degrees of freedom from x to `travel`, mm."""
         return np.where(self.scene.fixed, self.scene.prescribed(travel)[0] - x, 0.0)
 
     def turns_over(self, x: FloatArray, trial: FloatArray) -> bool:
@@ -183,7 +191,7 @@ class Equilibrium:
     def _line_search(
         self, x: FloatArray, g: FloatArray, d: FloatArray, residual: float
     ) -> FloatArray:
-        """Armijo's rule by halving, with a floor of round-off, a longest step and the flip guard."""
+        """Armijo's rule by halving, with a floor of round-off, a longest step, the flip guard."""
         slope = float(g @ d)
         if not np.isfinite(slope) or slope >= 0:
             raise NotConvergedError("Newton's direction is no descent direction", x, residual)

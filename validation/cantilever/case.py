@@ -1,0 +1,75 @@
+"""Cantilever under its own weight against the heavy elastica."""
+
+import numpy as np
+
+import quasiform as qf
+from quasiform import theory
+from quasiform.energy.bending import Bending
+from quasiform.energy.membrane import Membrane
+from quasiform.energy.weight import SheetWeight
+
+LENGTH = 100.0
+
+
+def values() -> dict[str, float]:
+    """Drop of the tip over that of the elastica; energy of a twisted strip."""
+    fabric = qf.Fabric()
+    found = {}
+    for family, B in (("warp", fabric.bending_warp), ("weft", fabric.bending_weft)):
+        for k in (1, 2, 8):
+            scene = qf.cantilever(LENGTH, k * B / LENGTH**3, width=10.0, size=5.0, family=family)
+            found[f"{family} k={k}"] = _tip_drop(scene) / theory.heavy_elastica(k)[1]
+    for k in (1, 2, 8):
+        scene = _balanced(fabric, k * fabric.bending_warp / LENGTH**3)
+        found[f"mirrored k={k}"] = _tip_drop(scene) / theory.heavy_elastica(k)[1]
+    found["energy of twist"] = _twist(fabric)
+    return found
+
+
+def _tip_drop(scene: qf.Scene) -> float:
+    result = qf.solve(scene, estimate=False)
+    tip = np.isclose(result.scene.blank.nodes[:, 0], LENGTH)
+    return -scene.positions(result.states[-1].x)[tip, 2].mean() / LENGTH
+
+
+def _balanced(fabric: qf.Fabric, load: float) -> qf.Scene:
+    """Half of a strip that rests on its middle: the mirror plane clamps it."""
+    blank = qf.rectangle(2 * LENGTH, 10.0, 5.0, through=((0.0, 0.0),), mirror=("x", "y"))
+    n = len(blank.nodes)
+    x0 = np.append(np.column_stack([blank.nodes, np.zeros(n)]).ravel(), 0.0)
+    fixed = np.zeros(len(x0), dtype=bool)
+    fixed[-1] = True
+    middle = np.flatnonzero(blank.nodes[:, 0] == 0)
+    fixed[3 * middle] = fixed[3 * middle + 2] = True
+    fixed[3 * np.flatnonzero(blank.nodes[:, 1] == 0) + 1] = True
+    drive = np.zeros(len(x0))
+    drive[-1] = 1.0
+    return qf.Scene(
+        name="balanced strip",
+        blank=blank,
+        fabric=fabric,
+        dim=3,
+        terms=[
+            Membrane(blank, fabric, 3),
+            Bending(blank, fabric),
+            SheetWeight(blank, load, 3 * n),
+        ],
+        x0=x0,
+        fixed=fixed,
+        drive=drive,
+        travel=1.0,
+        increment=0.25,
+        rows=0.25,
+    )
+
+
+def _twist(fabric: qf.Fabric) -> float:
+    """Bending energy of a strip with free edges on z = c x y, over that of z = c x²/2, c small."""
+    blank = qf.rectangle(60.0, 30.0, 5.0)
+    bending = Bending(blank, fabric)
+    X, Y = blank.nodes.T
+    energies = [
+        bending.energy(np.column_stack([X, Y, z]).ravel()).sum()
+        for z in (1e-5 * X * Y, 0.5e-5 * X**2)
+    ]
+    return energies[0] / energies[1]

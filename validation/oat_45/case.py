@@ -1,0 +1,41 @@
+"""Off-axis tension test at 45 degrees against other codes and against the power balance."""
+
+import numpy as np
+
+import quasiform as qf
+from quasiform import theory
+from quasiform.experiments import off_axis_zones
+
+
+def values() -> dict[str, float]:
+    """Forces at the peers' displacements, and the largest deviations from theory to u = 45 mm."""
+    found = {}
+    linear = qf.Fabric(name="linear shear", shear=qf.ThreeStageLaw(C_ini=0.334))
+    for name, law in (("locking", "locking"), ("linear", linear)):
+        result = qf.solve(qf.off_axis_tension(45, law, displacement=50), estimate=False)
+        if name == "locking":
+            found["triangles"] = len(result.blank.triangles)
+            found["energy balance, locking"] = result.energy_balance
+        history = result.history
+        for u in (10, 20, 30, 40, 50):
+            row = np.argmin(np.abs(history["displacement_mm"] - u))
+            found[f"force {name} u={u}"] = history["force_N"][row]
+
+    ideal = theory.OffAxisTension(320.0, 160.0, np.pi / 4)
+    for law in ("best-fit", "locking"):
+        result = qf.solve(qf.off_axis_tension(45, law, displacement=45), estimate=False)
+        zones = off_axis_zones(result.blank, 320.0, 160.0, 45.0)
+        shear = result.scene.fabric.shear
+        angle, force, side = [], [], []
+        for i, state in enumerate(result.states[1:], start=1):
+            gamma, phi_a, _ = np.degrees(ideal.angles(state.travel))
+            angle.append(state.measures["shear_angle_center_deg"] - gamma)
+            expected = ideal.force(state.travel, shear.stress, result.scene.fabric.thickness)
+            force.append(100 * (state.force / expected - 1))
+            for zone in ("warp free", "weft free"):
+                weight = np.where(zones[zone], result.blank.areas, 0.0)
+                side.append(weight @ result.shear_angles(i) / weight.sum() - phi_a)
+        found[f"centre angle against theory, {law}"] = np.abs(angle).max()
+        found[f"force against theory, {law}"] = np.abs(force).max()
+        found[f"side zones against half the angle, {law}"] = np.abs(side).max()
+    return found
