@@ -118,15 +118,15 @@ def test_every_cell_cut_by_the_outline_keeps_a_right_corner(angle):
     blank = specimen(angle)
     cell = cells(blank)
     assert (np.bincount(cell, fibre_legs(blank) == 2) >= 1).all()
-    assert np.bincount(cell).max() == (2 if angle == 45 else 4)
+    assert np.bincount(cell).max() == (2 if angle == 45 else 3)
 
 
-@pytest.mark.parametrize("size", [10.0, 9.4, 8.0, 7.0])
+@pytest.mark.parametrize("size", [14.0, 9.4, 7.0])
 def test_diagonals_alternate_up_to_an_outline_at_45_degrees(size):
     """Four triangles meet in every node of the outline, as diagonals of the net run along it."""
-    blank = rectangle(60.0, 40.0, size, orientation=45.0)
+    blank = rectangle(40.0, 40.0, size, orientation=45.0)
     meeting = np.bincount(blank.triangles.ravel())
-    on_edge = np.isclose(np.abs(blank.nodes), [30.0, 20.0])
+    on_edge = np.isclose(np.abs(blank.nodes), 20.0)
     assert_array_equal(fibre_legs(blank), 2)
     assert_array_equal(meeting[on_edge.sum(1) == 1], 4)
     assert_array_equal(meeting[on_edge.sum(1) == 2], 2)
@@ -187,7 +187,7 @@ def test_size_larger_than_the_blank_makes_one_cell():
 
 
 def test_absurdly_fine_mesh_is_refused():
-    with pytest.raises(InputError, match="size 0.001 mm on 320 x 160 mm makes more than"):
+    with pytest.raises(InputError, match=r"size 0\.001 mm on 320 x 160 mm makes more than"):
         rectangle(LENGTH, WIDTH, 0.001)
 
 

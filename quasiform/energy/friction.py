@@ -10,7 +10,8 @@ a Huber function: convex, with symmetric Hessian, and holding a stuck sheet exac
 a change of λ moves no force onto a node that has not moved.
 
 Memory: `refresh` takes λ and n from the present state (repeated until the residual with refreshed
-values is small), `commit` moves the anchors after a converged increment. Evaluating changes nothing.
+values is small), `commit` moves the anchors after a converged increment. Evaluating changes
+nothing.
 """
 
 from __future__ import annotations
