@@ -114,8 +114,9 @@ class SuperLU:
         n = pattern.shape[0]
         upper = pattern.tocoo()
         row, column = upper.row, upper.col
+        ones = csr_array((np.ones(pattern.nnz), pattern.indices, pattern.indptr), shape=(n, n))
+        self._order = nested_dissection((ones + ones.T).tocsr(), points)
         place = np.empty(n, dtype=int)
-        self._order = nested_dissection(points)
         place[self._order] = np.arange(n)
         off = np.flatnonzero(row != column)
         rows = place[np.concatenate([row, column[off]])]
@@ -173,11 +174,15 @@ class AlgebraicMultigrid:
         return x
 
 
-def nested_dissection(points: FloatArray, leaf: int = 64) -> np.ndarray:
-    """Elimination order by recursive coordinate bisection (George 1973), separators last.
+def nested_dissection(graph: csr_array, points: FloatArray, leaf: int = 64) -> np.ndarray:
+    """Elimination order by recursive bisection (George 1973), separators last.
+
+    The plane is halved by coordinate; the separator is what couples the lower half to the upper.
 
     Parameters
     ----------
+    graph : (n, n) csr_array
+        Symmetric sparsity pattern.
     points : (n, 2) array
         Flat positions; nan rows are put at the very end.
     leaf : int
@@ -187,25 +192,20 @@ def nested_dissection(points: FloatArray, leaf: int = 64) -> np.ndarray:
     -------
     order : (n,) int array
     """
-    rigid = np.flatnonzero(np.isnan(points).any(1))
-    flat = np.flatnonzero(~np.isnan(points).any(1))
-    if not len(flat):
-        return rigid
-    # second differences reach two fibre spacings: the separator is that wide
-    corners, count = np.unique(np.round(points[flat], 6), axis=0, return_counts=True)
-    spacing = np.sqrt(np.ptp(corners, axis=0).prod() / max(len(count), 1))
+    rigid = np.isnan(points).any(1)
+    upper = np.zeros(len(points), dtype=bool)
 
     def divide(part: np.ndarray) -> list[np.ndarray]:
         if len(part) <= leaf:
             return [part]
-        box = points[part]
-        axis = int(np.ptp(box, axis=0).argmax())
-        s = box[:, axis]
-        cut = np.median(s)
-        middle = np.abs(s - cut) < 1.01 * spacing
-        below, above = part[(s < cut) & ~middle], part[(s > cut) & ~middle]
-        if not len(below) or not len(above):
+        s = points[part, np.ptp(points[part], axis=0).argmax()]
+        high = s > np.median(s)
+        low, above = part[~high], part[high]
+        upper[above] = True
+        coupled = graph[low] @ upper > 0
+        upper[above] = False
+        if coupled.all() or not high.any():
             return [part]
-        return [*divide(below), *divide(above), part[middle]]
+        return [*divide(low[~coupled]), *divide(above), low[coupled]]
 
-    return np.concatenate([*divide(flat), rigid])
+    return np.concatenate([*divide(np.flatnonzero(~rigid)), np.flatnonzero(rigid)])
