@@ -6,9 +6,9 @@ alternating, so the mesh has the mirror planes and quarter turns of the net. Suc
 the stretch of a fibre on a leg and the shear at a right corner: they neither lock nor have an
 hourglass mode (the net is isostatic, as the inextensible fabric is).
 
-Cells cut by the outline are fanned from a point of the outline, so that each of their right corners
-has a triangle. Triangles there may have one leg on a fibre only; as every node of the outline ends
-one line, the net stays isostatic and does not lock.
+Cells cut by the outline are fanned from a point of the outline, so that at least one of their right
+corners keeps its triangle. Triangles there may have one leg on a fibre only; as every node of the
+outline ends one line, the net stays isostatic and does not lock.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from skfem import Basis, ElementTriP1, MeshLine, MeshTri
 
-from .checks import InputError
+from .checks import InputError, check_number
 
 FloatArray = np.ndarray
 IntArray = np.ndarray
 MOST_TRIANGLES = 2_000_000
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Blank:
     """A flat sheet meshed along its fibres.
 
@@ -45,8 +45,6 @@ class Blank:
         Unit vectors of the fibres.
     mirror : tuple of "x" and "y"
         Planes x = 0, y = 0 of which only the positive side is meshed.
-    size : float
-        Spacing of the fibre lines asked for, mm.
     """
 
     nodes: FloatArray
@@ -54,7 +52,11 @@ class Blank:
     warp: FloatArray
     weft: FloatArray
     mirror: tuple[str, ...] = ()
-    size: float = 0.0
+
+    @cached_property
+    def size(self) -> float:
+        """Typical spacing of the fibre lines, mm: the leg of the median triangle."""
+        return float(np.sqrt(2.0 * np.median(self.areas)))
 
     @cached_property
     def mesh(self) -> MeshTri:
@@ -92,7 +94,7 @@ class Blank:
         legs = self.mesh.facets.T
         direction = self.nodes[legs[:, 1]] - self.nodes[legs[:, 0]]
         direction /= np.linalg.norm(direction, axis=1)[:, None]
-        segments = legs[np.abs(direction @ along) > 1 - 1e-8]
+        segments = legs[np.abs(direction @ along) > 1 - 1e-5]
         s = self.nodes @ along
         backwards = s[segments[:, 0]] > s[segments[:, 1]]
         segments[backwards] = segments[backwards, ::-1]
@@ -180,8 +182,12 @@ def rectangle(
     Raises
     ------
     InputError
-        If that would be more than two million triangles.
+        For bad numbers, mirror planes that do not fit, or more than two million triangles.
     """
+    for name, value in (("length", length), ("width", width), ("size", size)):
+        check_number(name, value)
+    if mirror and (orientation % 90 != 0 or any(centre)):
+        raise InputError("mirror planes need fibres along x and y and the centre at the origin")
     if not 2 * length * width < MOST_TRIANGLES * size**2:
         raise InputError(
             f"size {size:g} mm on {length:g} x {width:g} mm makes more than "
@@ -196,7 +202,7 @@ def rectangle(
     stops = np.array([*box, *through]) @ R  # in fibre coordinates (a, b)
     a, b = (_lines_through(stops[:, i], size) for i in (0, 1))
     nodes, triangles = _cut_net(a, b, box @ R)
-    return Blank(nodes @ R.T, triangles, R[:, 0], R[:, 1], mirror, size)
+    return Blank(nodes @ R.T, triangles, R[:, 0], R[:, 1], mirror)
 
 
 def _lines_through(points: FloatArray, size: float) -> FloatArray:
@@ -213,11 +219,12 @@ def _lines_through(points: FloatArray, size: float) -> FloatArray:
 def _cut_net(a: FloatArray, b: FloatArray, outline: FloatArray) -> tuple[FloatArray, IntArray]:
     """Cut the net of lines `a` x `b` by a polygon; nodes and triangles (fibre coordinates)."""
     polygon = shapely.Polygon(outline)
-    tiny = 1e-7 * min(np.diff(a).min(), np.diff(b).min())
+    # points nearer than this are one: a line that just misses a corner of the net makes no sliver
+    snap = 1e-3 * min(np.diff(a).min(), np.diff(b).min())
     i, j = (k.ravel() for k in np.meshgrid(np.arange(len(a) - 1), np.arange(len(b) - 1)))
     cells = shapely.box(a[i], b[j], a[i + 1], b[j + 1])
     shapely.prepare(polygon)
-    whole = shapely.covers(polygon.buffer(tiny), cells)
+    whole = shapely.covers(polygon.buffer(1e-4 * snap), cells)
     # diagonals end on the nodes whose parity is that of the outline's first corner, so that an
     # outline at 45° to the fibres is itself made of diagonals
     parity = sum(int(np.abs(line - c).argmin()) for line, c in zip((a, b), outline[0], strict=True))
@@ -239,36 +246,40 @@ def _cut_net(a: FloatArray, b: FloatArray, outline: FloatArray) -> tuple[FloatAr
             continue  # cell and outline share a line or a point
         ring_points = np.asarray(shapely.orient_polygons(piece).exterior.coords)[:-1]
         apart = np.linalg.norm(ring_points - np.roll(ring_points, 1, axis=0), axis=1)
-        ring_points = ring_points[apart > 100 * tiny]
+        ring_points = ring_points[apart > snap]
         if len(ring_points) < 3:
             continue
-        triangles.append(_fan(ring_points, tiny) + next_number)
+        triangles.append(_fan(ring_points, snap) + next_number)
         points.append(ring_points)
         next_number += len(ring_points)
-    return _merge(np.vstack(points), np.vstack(triangles), tiny)
+    return _merge(np.vstack(points), np.vstack(triangles), snap)
 
 
-def _fan(ring: FloatArray, tiny: float) -> IntArray:
+def _fan(ring: FloatArray, snap: float) -> IntArray:
     """Triangles of one cell cut by the outline (indices into its ring).
 
-    The fan starts at the vertex before the first right corner, so each right corner is kept whole.
+    The fan starts at the vertex before the first right corner, which is so kept whole.
     """
     n = len(ring)
     step = np.roll(ring, -1, axis=0) - ring
-    along_a, along_b = np.abs(step[:, 1]) < tiny, np.abs(step[:, 0]) < tiny
+    along_a, along_b = np.abs(step[:, 1]) < snap, np.abs(step[:, 0]) < snap
     right = (along_a & np.roll(along_b, 1)) | (along_b & np.roll(along_a, 1))
     starts = np.flatnonzero(right & ~np.roll(right, 1))
     order = ((starts[0] if len(starts) else 1) - 1 + np.arange(n)) % n
     return np.array([[order[0], order[k], order[k + 1]] for k in range(1, n - 1)])
 
 
-def _merge(points: FloatArray, triangles: IntArray, tiny: float) -> tuple[FloatArray, IntArray]:
-    """Make coincident points one node and drop points that no triangle uses."""
+def _merge(points: FloatArray, triangles: IntArray, snap: float) -> tuple[FloatArray, IntArray]:
+    """Make near points one node (the net's own first); drop flat triangles and unused points."""
     used = np.unique(triangles)
-    pairs = cKDTree(points[used]).query_pairs(100 * tiny, output_type="ndarray")
+    pairs = cKDTree(points[used]).query_pairs(snap, output_type="ndarray")
     links = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(used), len(used)))
     _, group = connected_components(links, directed=False)
     _, representative, group = np.unique(group, return_index=True, return_inverse=True)
     number = np.full(len(points), -1)
     number[used] = group
-    return points[used][representative], number[triangles]
+    points, triangles = points[used][representative], number[triangles]
+    u, v = (points[triangles[:, k]] - points[triangles[:, 0]] for k in (1, 2))
+    thick = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0] > snap * np.linalg.norm(u - v, axis=1)
+    used, triangles = np.unique(triangles[thick], return_inverse=True)
+    return points[used], triangles.reshape(-1, 3)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from numbers import Real
 from typing import Any
 
 
@@ -13,7 +14,7 @@ class InputError(ValueError):
 
 def check_number(name: str, value: Any, *, zero_allowed: bool = False) -> float:
     """Return `value` if it is a finite positive number, else raise InputError naming it."""
-    number = isinstance(value, int | float) and not isinstance(value, bool)
+    number = isinstance(value, Real) and not isinstance(value, bool)
     number = number and abs(value) < 1e100  # refuses nan and inf too
     if not number or value < 0 or (value == 0 and not zero_allowed):
         expected = "a number of at least zero" if zero_allowed else "a positive number"

@@ -280,7 +280,7 @@ def _report(result: Result) -> str:
     certified = summary["certified"]
     rows["certified"] = "yes" if certified is True else f"no: {certified}"
     rows["linear solves"] = (
-        f"{summary['linear_solves']} ({summary['linear_solver']}) "
+        f"{summary['linear_solves']} ({summary['solver']['linear']}) "
         f"in {summary['increments']} increments"
     )
     rows["wall time"] = f"{summary['wall_s']:.1f} s"

@@ -2,30 +2,31 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict
 from functools import partial
 from math import atan2, cos, degrees, radians, sin
+from numbers import Real
+from pathlib import Path
 
 import numpy as np
 
 from . import geometry
-from .blank import Blank, rectangle
+from .blank import Blank, rectangle, rotation
 from .checks import InputError, check_number
 from .energy.bending import Bending
 from .energy.contact import Contact
 from .energy.friction import Friction
 from .energy.membrane import Membrane
-from .energy.weight import SheetWeight, ToolWeight
-from .material import PRESETS, Fabric
+from .energy.weight import GRAVITY, SheetWeight, ToolWeight
+from .material import Fabric
 from .measure import mid_edges
 from .scene import Scene
 from .tool import Tool
 
 FloatArray = np.ndarray
-GRAVITY = 9.81  # m/s²
 
 
-def fabric_of(law: str | Fabric) -> Fabric:
+def fabric_of(law: str | Path | Fabric) -> Fabric:
     """Return a `Fabric`: itself, a preset by name, or read from a TOML file.
 
     Raises
@@ -34,9 +35,9 @@ def fabric_of(law: str | Fabric) -> Fabric:
     """
     if isinstance(law, Fabric):
         return law
-    if law not in PRESETS and str(law).endswith(".toml"):
+    if str(law).endswith(".toml"):
         return Fabric.load(law)
-    return Fabric.preset(law)
+    return Fabric.preset(str(law))
 
 
 def off_axis_tension(
@@ -81,7 +82,7 @@ def off_axis_tension(
     ):
         check_number(name, value)
     low = degrees(atan2(width, length))
-    if not (isinstance(angle, int | float) and low < angle < 90.0 - low):
+    if not (isinstance(angle, Real) and low < angle < 90.0 - low):
         raise InputError(
             f"angle must lie between {low:.1f} and {90 - low:.1f} degrees for {length:g} x "
             f"{width:g} mm (elsewhere a fibre joins both grips), got {angle!r}"
@@ -128,6 +129,7 @@ def off_axis_tension(
         parameters={
             "angle": angle,
             "law": fabric.name,
+            "fabric": asdict(fabric),
             "length": length,
             "width": width,
             "displacement": displacement,
@@ -211,11 +213,11 @@ def forming(
         For bad input, and for a fabric without bending stiffness: a sheet without it has no
         wavelength for its wrinkles and no stiffness before it is stretched.
     """
-    shape = geometry.load(scene)
-    fabric = replace(fabric_of(law), friction=shape.friction)
+    shape = geometry.load(str(scene))
+    fabric = fabric_of(law)
     check_number("size", size)
     for name, value in (("orientation", orientation), ("turn", turn)):
-        if not isinstance(value, int | float) or not np.isfinite(value):
+        if not isinstance(value, Real) or not np.isfinite(value):
             raise InputError(f"{name} must be a number of degrees, got {value!r}")
     if symmetry not in ("auto", "none"):
         raise InputError(f"symmetry must be 'auto' or 'none', got {symmetry!r}")
@@ -229,6 +231,10 @@ def forming(
             f"size must not exceed an eighth of the blank, {min(shape.length, shape.width) / 8:g}, "
             f"got {size:g}"
         )
+    for part, tool in (("die", shape.die), ("holder", shape.holder.shape)):
+        least = shape.punch.radius + fabric.thickness
+        if tool.radius < least:
+            raise InputError(f"{part}.radius must be at least {least:g} mm, got {tool.radius:g}")
     if fabric.bending_warp == 0 or fabric.bending_weft == 0:
         raise InputError(
             "forming in space needs a bending stiffness: bending_warp or _weft is zero"
@@ -244,9 +250,9 @@ def forming(
     share = 0.5 ** len(mirror)
     n, t0 = len(blank.nodes), fabric.thickness
     tools = [
-        Tool("punch", shape.punch, t0, "driven", shape.friction),
-        Tool("die", shape.die, 0.0, "fixed", shape.friction),
-        Tool("blank holder", shape.holder, t0, "free", shape.friction, shape.mass),
+        Tool("punch", shape.punch, t0, "driven", fabric.friction),
+        Tool("die", shape.die, 0.0, "fixed", fabric.friction),
+        Tool("blank holder", shape.holder, t0, "free", fabric.friction, shape.mass),
     ]
     contacts = [Contact(blank, fabric, tool, 3 * n + i) for i, tool in enumerate(tools)]
     _, _, on_holder = contacts
@@ -254,10 +260,12 @@ def forming(
     x0[: 3 * n].reshape(-1, 3)[:, :2] = blank.nodes
     x0[3 * n :] = [tool.height for tool in tools]
     # start at the equilibrium of the holder's weight: sheet and holder sunk in by as much
-    weight = shape.mass * GRAVITY * share
+    weight = 1e3 * GRAVITY * shape.mass * share
     held = (
         np.linalg.norm(blank.nodes, axis=1) > shape.holder.shape.radius + shape.holder.shape.fillet
     )
+    if not held.any():
+        raise InputError("the blank does not reach under the blank holder")
     sunk = on_holder.depth_under(weight, blank.node_areas[held].sum())
     x0[2 : 3 * n : 3] = 0.5 * t0 - sunk
     x0[3 * n + 2] = t0 - 2 * sunk
@@ -278,7 +286,7 @@ def forming(
         model.append(("the whole blank", "the fibres are not mirrored at x = 0 and y = 0"))
     model.append(("tools in closed form", "punch, die and blank holder have an exact distance"))
     frictions = []
-    if shape.friction:
+    if fabric.friction:
         frictions = [Friction(contact, x0) for contact in contacts]
     else:
         model.append(("friction left out", "its coefficient is zero"))
@@ -288,7 +296,13 @@ def forming(
             across = int(abs(blank.warp[1]) < abs(blank.warp[0]))
             fixed[[3 * middle, 3 * middle + 1, 3 * beside + across]] = True
             model.append(("middle of the sheet held in the plane", "no friction holds it"))
-    model.append(("weight of the sheet left out", "small beside the blank holder's"))
+    sheet = 1e-6 * fabric.areal_weight * shape.length * shape.width * GRAVITY
+    model.append(
+        (
+            "weight of the sheet left out",
+            f"{sheet:.2g} N beside the blank holder's {weight / share:.3g} N",
+        )
+    )
     membrane = Membrane(blank, fabric, dim=3)
     edges = mid_edges(blank, shape.length, shape.width, turn)
 
@@ -310,18 +324,20 @@ def forming(
         travel=float(goal),
         increment=5.0,
         rows=5.0,
+        travel_name="travel_mm",
         share=share,
         resting=weight,
         model=model,
         parameters={
-            "scene": scene,
+            "scene": str(scene),
             "orientation": orientation,
             "law": fabric.name,
             "size": size,
             "travel": goal,
             "symmetry": symmetry,
             "turn": turn,
-            "friction": shape.friction,
+            "fabric": asdict(fabric),
+            "geometry": asdict(shape),
         },
         measures={
             "holder_force_N": lambda x: float(-on_holder.gradient(x)[:, 3].sum() / share),
@@ -332,7 +348,10 @@ def forming(
                 np.mean([edge.draw_in(x[: 3 * n].reshape(-1, 3)) for edge in edges.values()])
             ),
         },
-        areas=shape.areas,
+        areas={
+            name: (tuple(rotation(turn) @ centre), radius)
+            for name, (centre, radius) in shape.areas.items()
+        },
         edges=edges,
         coarser=lambda: forming(scene, orientation, law, 2 * size, travel, symmetry, turn),
     )
@@ -447,6 +466,8 @@ def cantilever(
         travel=1.0,
         increment=0.25,
         rows=0.25,
+        travel_name="load_factor",
+        dead_load=load * length * width,
         parameters={"length": length, "load": load, "width": width, "size": size, "family": family},
         model=[("contact and friction left out", "no tools")],
         coarser=lambda: cantilever(length, load, width, fabric, 2 * size, family),

@@ -18,7 +18,6 @@ _TABLES = {
     "punch": ["shape", "radius", "travel"],
     "die": ["shape", "radius", "fillet"],
     "holder": ["shape", "radius", "fillet", "mass"],
-    "friction": ["coefficient"],
 }
 
 
@@ -37,8 +36,6 @@ class Geometry:
         Travel of the punch from first touch, mm.
     mass : float
         Mass of the blank holder, kg.
-    friction : float
-        Coulomb coefficient of all tools.
     areas : dict of name to (centre (2,), radius)
         Discs in blank coordinates, mm.
     standings : dict of "table.key" to standing
@@ -52,7 +49,6 @@ class Geometry:
     holder: Shape
     travel: float
     mass: float
-    friction: float
     areas: dict[str, tuple[tuple[float, float], float]]
     standings: dict[str, str]
 
@@ -104,8 +100,6 @@ def _geometry(table: dict[str, Any], name: str) -> Geometry:
             if key != "shape":
                 where = f"{part}.{key}"
                 numbers[where], standings[where] = _number(table[part][key], where)
-    if "holder.radius" in numbers and numbers["holder.radius"] <= numbers["punch.radius"]:
-        raise InputError("[holder] radius must be larger than the punch's")
     areas = {}
     if not isinstance(table.get("areas", {}), dict):
         raise InputError("areas: expected a table [areas]")
@@ -134,7 +128,6 @@ def _geometry(table: dict[str, Any], name: str) -> Geometry:
         holder=Flipped(RoundOpening(numbers["holder.radius"], numbers["holder.fillet"])),
         travel=numbers["punch.travel"],
         mass=numbers["holder.mass"],
-        friction=numbers["friction.coefficient"],
         areas=areas,
         standings=standings,
     )
@@ -144,7 +137,10 @@ def _number(entry: Any, where: str) -> tuple[float, str]:
     if not isinstance(entry, dict):
         raise InputError(f"{where} = {entry!r}: expected {{ value, unit, standing }}")
     check_keys(entry, ["value", "unit", "standing"], where)
-    value = check_number(where, entry.get("value"), zero_allowed=where == "friction.coefficient")
+    value = check_number(where, entry.get("value"))
+    unit = "kg" if where.endswith(".mass") else "mm"
+    if entry.get("unit", unit) != unit:
+        raise InputError(f"{where}: unit must be {unit!r}, got {entry['unit']!r}")
     return float(value), _standing(entry, where)
 
 

@@ -170,7 +170,7 @@ class Fabric:
     bending_warp, bending_weft : float
         B11 and B22, N mm (mJ mm/mm² of curvature squared, per width).
     friction : float
-        Coulomb coefficient between fabric and tools.
+        Coulomb coefficient between fabric and tools (stated by the paper).
     areal_weight : float
         g/m²; 2 × about 300 for MD600.
     compaction : float
@@ -202,6 +202,13 @@ class Fabric:
     in_plane_bending: float = 1.0
 
     def __post_init__(self) -> None:
+        if not isinstance(self.name, str):
+            raise InputError(f"Fabric(name=...) must be a text, got {self.name!r}")
+        if (
+            check_number("Fabric(in_plane_bending=...)", self.in_plane_bending, zero_allowed=True)
+            > 1
+        ):
+            raise InputError(f"in_plane_bending must not exceed 1, got {self.in_plane_bending}")
         for name in ("thickness", "compaction"):
             check_number(f"Fabric({name}=...)", getattr(self, name))
         for name in (
@@ -231,7 +238,9 @@ class Fabric:
 
     @staticmethod
     def load(path: str | Path) -> Fabric:
-        """Read a fabric from a TOML file as written by `save`; what is left out keeps its default.
+        """Read a fabric from a TOML file as written by `save`.
+
+        What is left out keeps its default, but the name, which is then that of the file.
 
         Raises
         ------
@@ -246,7 +255,7 @@ class Fabric:
         except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
             raise InputError(f"{path}: {error}") from error
         try:
-            return _fabric(table)
+            return _fabric({"name": Path(path).stem, **table})
         except InputError as error:
             raise InputError(f"{path}: {error}") from error
 
@@ -256,12 +265,12 @@ class Fabric:
         for key, value in asdict(self).items():
             if isinstance(value, dict):
                 tables.append(f"\n[{key}]")
-                tables += [f"{k} = {v!r}" for k, v in value.items() if v is not None]
+                tables += [f"{k} = {float(v)!r}" for k, v in value.items() if v is not None]
             elif isinstance(value, str):
                 escaped = value.replace("\\", "\\\\").replace('"', '\\"')
                 lines.append(f'{key} = "{escaped}"')
             else:
-                lines.append(f"{key} = {value!r}")
+                lines.append(f"{key} = {float(value)!r}")
         Path(path).write_text("\n".join(lines + tables) + "\n", encoding="utf-8")
 
 
@@ -284,6 +293,4 @@ def _fabric(table: Mapping[str, Any]) -> Fabric:
                 raise InputError(f"[{key}] {error}") from error
         else:
             arguments[key] = value
-    if not isinstance(arguments.get("name", ""), str):
-        raise InputError(f"name = {arguments['name']!r}: expected a text")
     return Fabric(**arguments)

@@ -8,6 +8,7 @@ its normal. Everything is drawn on `Figure` objects of matplotlib, nothing throu
 from __future__ import annotations
 
 import textwrap
+from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -136,10 +137,7 @@ def _title(result: Result) -> str:
     summary, scene = result.summary(), result.scene
     case = [summary["case"], scene.fabric.name]
     size = scene.parameters.get("size")
-    if not isinstance(size, int | float):
-        size = result.blank.size
-    if size:
-        case.append(f"size {size:g} mm")
+    case.append(f"size {size if isinstance(size, Real) else scene.blank.size:.3g} mm")
     travel, force, unit = _words(result)
     case.append(f"{travel} {summary['reached_mm']:.4g}{' mm' if unit == 'N' else ''}")
     gamma, certified = summary["shear_angle_deg"], summary["certified"]
@@ -157,11 +155,11 @@ def _title(result: Result) -> str:
 def _words(result: Result) -> tuple[str, str, str]:
     """Names of the travel and of its force, and the unit of the force."""
     scene = result.scene
+    if scene.dead_load:
+        return "load factor", "load's potential", "mJ"
     if scene.contacts:
         return "punch travel", "punch force", "N"
-    if callable(scene.drive) or np.any(scene.drive[: scene.n_nodal]):
-        return "displacement", "force", "N"
-    return "load factor", "load's potential", "mJ"  # a rigid degree of freedom scales a load
+    return "displacement", "force", "N"
 
 
 def _collapsed(result: Result) -> np.ndarray:

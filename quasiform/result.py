@@ -50,7 +50,8 @@ class Result:
     wall_s : float
         Time of the solve alone.
     linear_solves, increments : int
-    linear_solver : str
+    settings : dict
+        How it was solved: increment, method, tolerance, convex, linear.
     rescues : dict of rung to count
     residual : float
         Sum of the nodal residuals at the end relative to the driving force, lags refreshed.
@@ -70,7 +71,7 @@ class Result:
     reason: str
     wall_s: float
     linear_solves: int
-    linear_solver: str
+    settings: dict[str, Any]
     increments: int
     rescues: dict[str, int]
     residual: float
@@ -119,7 +120,7 @@ class Result:
     @property
     def history(self) -> dict[str, FloatArray]:
         """Columns by name, one row an increment (goes straight into a pandas DataFrame)."""
-        travel = "travel_mm" if self.scene.contacts else "displacement_mm"
+        travel = self.scene.travel_name
         columns = {
             travel: [s.travel for s in self.states],
             "force_N": [s.force for s in self.states],
@@ -165,8 +166,18 @@ class Result:
 
     @property
     def max_penetration(self) -> float:
-        """Deepest penetration of a node into a tool at the end, mm."""
+        """Deepest penetration into a tool at the end, mm, at the nodes, where contact acts."""
         depths = [c.penetration(self.states[-1].x).max() for c in self.scene.contacts]
+        return float(max([0.0, *depths]))
+
+    @property
+    def chord_penetration(self) -> float:
+        """Deepest penetration at the middle of an element edge, mm: how far chords cut fillets."""
+        x, facets = self.states[-1].x, self.scene.blank.mesh.facets.T
+        depths = []
+        for contact in self.scene.contacts:
+            middle = contact.relative(x)[facets].mean(1)
+            depths.append((contact.offset - contact.tool.shape.distance(middle)[0]).max())
         return float(max([0.0, *depths]))
 
     @property
@@ -199,7 +210,7 @@ class Result:
         elif self.negative_pivots:
             doubts.append(f"{self.negative_pivots} negative pivots of the tangent")
         if self.max_penetration > CERTIFIED_PENETRATION * self.scene.fabric.thickness:
-            doubts.append(f"penetration {self.max_penetration:.3f} mm")
+            doubts.append(f"penetration {self.max_penetration:.3f} mm at a node")
         if self.energy_balance > CERTIFIED_BALANCE:
             doubts.append(f"energy balance open by {100 * self.energy_balance:.1f} %")
         if self.collapse:
@@ -207,8 +218,15 @@ class Result:
         return "; ".join(doubts) if doubts else True
 
     def compare_with_coarser(self, coarse: Result) -> None:
-        """Set `estimate` from the same scene on a coarser mesh, if that reached the same travel."""
-        if coarse.reason or self.reason:
+        """Set `estimate` from the same scene on a coarser mesh.
+
+        Left open where the coarse scene is another one (a user has added terms or changed the
+        travel), stopped early, or where one of the two has collapsed.
+        """
+        same = [term.name for term in self.scene.terms] == [t.name for t in coarse.scene.terms]
+        same = same and self.scene.fixed.sum() >= coarse.scene.fixed.sum()
+        same = same and self.states[-1].travel == coarse.states[-1].travel
+        if not same or coarse.reason or self.reason or coarse.collapse or self.collapse:
             return
         p99 = [
             percentile(np.abs(result.shear_angle), result.blank.areas, 0.99)
@@ -233,7 +251,7 @@ class Result:
             "reason": self.reason,
             "wall_s": round(self.wall_s, 3),
             "linear_solves": self.linear_solves,
-            "linear_solver": self.linear_solver,
+            "solver": self.settings,
             "increments": self.increments,
             "nodes": len(scene.blank.nodes),
             "triangles": len(scene.blank.triangles),
@@ -257,10 +275,13 @@ class Result:
             "certified": self.certified,
         }
         if scene.contacts:
-            summary["max_penetration_mm"] = self.max_penetration
-        if scene.edges:
-            summary |= {"draw_in_mm": self.draw_in, "areas": self.areas}
-        return summary
+            summary |= {
+                "max_penetration_mm": self.max_penetration,
+                "chord_penetration_mm": self.chord_penetration,
+                "draw_in_mm": self.draw_in,
+                "areas": self.areas,
+            }
+        return _finite(summary)
 
     def save(self, out: str | Path, *, force: bool = False, pictures: bool = True) -> Path:
         """Write summary.json, history.csv, result.vtu, result.pvd and the pictures.
@@ -312,6 +333,15 @@ class Result:
             point_data=self.point_fields(state),
             cell_data=cells,
         )
+
+
+def _finite(content: Any) -> Any:
+    """Replace numbers that are not finite by None, which JSON can hold."""
+    if isinstance(content, dict):
+        return {key: _finite(value) for key, value in content.items()}
+    if isinstance(content, float) and not np.isfinite(content):
+        return None
+    return content
 
 
 def package_version() -> str:

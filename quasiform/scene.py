@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from .blank import Blank
-from .energy import Term
+from .energy import Remembering, Term
 from .energy.contact import Contact
 from .energy.friction import Friction
 from .energy.membrane import Membrane
@@ -50,10 +50,15 @@ class Scene:
         Largest increment of travel when the program chooses.
     rows : float
         History rows fall on multiples of this travel.
+    travel_name : str
+        Column of the travel in the history.
     share : float
         Modelled share of the whole (1/4 with two mirror planes); forces are divided by it.
     resting : float
-        Dead load that holds the scene together (holder weight of the modelled share), N.
+        Dead load that holds the scene together (holder weight of the modelled share), N. The
+        residual is measured against 2 % of it while the driving force is smaller.
+    dead_load : float
+        Where the travel is a load factor: the whole load, N, that the residual is measured against.
     model : list of (entry, reason)
         What is modelled and what was left out, and why.
     parameters : dict
@@ -79,8 +84,10 @@ class Scene:
     travel: float
     increment: float
     rows: float
+    travel_name: str = "displacement_mm"
     share: float = 1.0
     resting: float = 0.0
+    dead_load: float = 0.0
     model: list[tuple[str, str]] = field(default_factory=list)
     parameters: dict[str, Any] = field(default_factory=dict)
     measures: dict[str, Callable[[FloatArray], float]] = field(default_factory=dict)
@@ -129,6 +136,11 @@ class Scene:
     def frictions(self) -> list[Friction]:
         """The friction terms."""
         return [term for term in self.terms if isinstance(term, Friction)]
+
+    @property
+    def remembering(self) -> list[Remembering]:
+        """The terms with memory, a user's own among them."""
+        return [term for term in self.terms if isinstance(term, Remembering)]
 
     @property
     def n_nodal(self) -> int:

@@ -124,9 +124,9 @@ def test_every_cell_cut_by_the_outline_keeps_a_right_corner(angle):
 @pytest.mark.parametrize("size", [14.0, 9.4, 7.0])
 def test_diagonals_alternate_up_to_an_outline_at_45_degrees(size):
     """Four triangles meet in every node of the outline, as diagonals of the net run along it."""
-    blank = rectangle(40.0, 40.0, size, orientation=45.0)
+    blank = rectangle(40.0, 40.0, size, orientation=45.0, centre=(70.0, 30.0))
     meeting = np.bincount(blank.triangles.ravel())
-    on_edge = np.isclose(np.abs(blank.nodes), 20.0)
+    on_edge = np.isclose(np.abs(blank.nodes - [70.0, 30.0]), 20.0)
     assert_array_equal(fibre_legs(blank), 2)
     assert_array_equal(meeting[on_edge.sum(1) == 1], 4)
     assert_array_equal(meeting[on_edge.sum(1) == 2], 2)
@@ -183,7 +183,7 @@ def test_size_of_the_45_degree_specimen():
 def test_size_larger_than_the_blank_makes_one_cell():
     blank = rectangle(10.0, 8.0, 30.0)
     assert len(blank.triangles) == 2
-    assert blank.size == 30.0
+    assert blank.size == pytest.approx(np.sqrt(80.0))
 
 
 def test_absurdly_fine_mesh_is_refused():
@@ -269,10 +269,13 @@ def test_rotation_is_exact_at_quarter_turns():
 
 @pytest.mark.parametrize("size", [10.0, 20.0])
 def test_no_cut_leaves_a_degenerate_triangle(size):
-    for angle in range(27, 64):
+    """The outline may give way by a thousandth of the spacing where it just misses a node."""
+    slack = 1e-3 * size / np.sqrt(2.0)
+    for angle in [*range(27, 64), 44.5, 44.9, 44.95, 44.99, 45.001, 45.1]:
         blank = specimen(angle, size)
         edges = blank.nodes[np.roll(blank.triangles, -1, axis=1)] - blank.nodes[blank.triangles]
         altitude = 2 * signed_areas(blank) / np.linalg.norm(edges, axis=2).max(1)
-        assert altitude.min() > 1e-5 * size, f"{angle} degrees"
-        assert_allclose(blank.areas.sum(), LENGTH * WIDTH, rtol=1e-9)
-        assert fibre_legs(blank).min() >= 1, f"{angle} degrees"
+        assert altitude.min() > 1e-4 * size, f"{angle} degrees"
+        missing = LENGTH * WIDTH - blank.areas.sum()
+        assert abs(missing) < 2 * (LENGTH + WIDTH) * slack, f"{angle} degrees"
+        assert fibre_legs(blank, tolerance=1e-3).min() >= 1, f"{angle} degrees"

@@ -8,7 +8,7 @@ import shlex
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import meshio
@@ -158,7 +158,7 @@ def test_a_wrong_law_file_is_refused(capsys, here, text, words):
     ("old", "new", "words"),
     [
         ("[punch]", "[punch]\nradios = 1", ["[punch]", "unknown key 'radios'", "'radius'?"]),
-        ("[friction]", "[frictoin]", ["unknown key 'frictoin'", "did you mean 'friction'?"]),
+        ("[areas]", "[aeras]", ["unknown key 'aeras'", "did you mean 'areas'?"]),
         ("value = 5.0", "value = -5.0", ["holder.mass must be a positive number", "-5.0"]),
         ("value = 5.0", "value = nan", ["holder.mass must be a positive number", "nan"]),
         ("value = 5.0", "valeu = 5.0", ["[holder.mass]", "unknown key 'valeu'", "'value'?"]),
@@ -315,6 +315,7 @@ def test_options_reach_the_scene_and_the_solver(here, monkeypatch):
     turned = "--orientation 45 --size 31 --travel 9 --symmetry none --law best-fit"
     assert main(f"form hemisphere {turned}".split()) == 3
     (oat, *oat_solver), (form, *form_solver) = given
+    assert oat.parameters.pop("fabric") == asdict(oat.fabric)
     assert oat.parameters == {
         **{"angle": 50, "length": 300, "width": 120, "displacement": 7, "size": 60},
         "law": "mine",

@@ -15,7 +15,7 @@ between Newton solves) and `commit(x)` (after a converged increment).
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -32,6 +32,14 @@ class Term(Protocol):
     def energy(self, x: FloatArray) -> FloatArray: ...
     def gradient(self, x: FloatArray) -> FloatArray: ...
     def hessian(self, x: FloatArray, convex: bool) -> FloatArray: ...
+
+
+@runtime_checkable
+class Remembering(Protocol):
+    """A term with memory."""
+
+    def refresh(self, x: FloatArray) -> None: ...
+    def commit(self, x: FloatArray) -> None: ...
 
 
 class Potential:

@@ -86,10 +86,13 @@ def solve(
         raise InputError(f"unknown method '{method}': expected 'newton' or 'relaxation'")
     if increment is not None:
         check_number("increment", increment)
+    check_number("tolerance", tolerance)
+    if convex not in ("on demand", "always"):
+        raise InputError(f"convex must be 'on demand' or 'always', got {convex!r}")
     clock = time.perf_counter()
     equilibrium = Equilibrium(scene, linear, tolerance, convex)
-    run = _Run(equilibrium, method)
-    largest = increment or scene.increment
+    run = _Run(equilibrium, method, increment)
+    largest = min(increment or scene.increment, scene.travel)
     rows = increment or scene.rows
     shortest = SHORTEST * largest
     reason = ""
@@ -128,22 +131,25 @@ def solve(
         if s == goal:
             states.append(run.state(x, s))
         if callback:
-            callback(
-                Progress(
-                    s,
-                    scene.travel,
-                    equilibrium.residual(equilibrium.potential.gradient(x)),
-                    run.books[-1].force / scene.share,
-                    sum(int((c.penetration(x) > 0).sum()) for c in scene.contacts),
-                    equilibrium.linear_solves,
-                    time.perf_counter() - clock,
-                )
+            progress = Progress(
+                s,
+                scene.travel,
+                equilibrium.residual(equilibrium.potential.gradient(x)),
+                run.books[-1].force / scene.share,
+                sum(int((c.penetration(x) > 0).sum()) for c in scene.contacts),
+                equilibrium.linear_solves,
+                time.perf_counter() - clock,
             )
+            try:
+                callback(progress)
+            except KeyboardInterrupt:
+                reason = f"interrupted at {s:.4g} of {scene.travel:.4g}"
     if states[-1].travel < s:
         states.append(run.state(x, s))
     result = run.result(states, reason, time.perf_counter() - clock)
     if estimate and not reason and scene.coarser:
-        with suppress(InputError):  # too coarse to be built
+        # too coarse to be built, or interrupted: the result stands without an estimate
+        with suppress(InputError, KeyboardInterrupt):
             coarse = solve(
                 scene.coarser(), None, increment, method, linear, tolerance, convex, estimate=False
             )
@@ -168,8 +174,8 @@ class _Entry:
 class _Run:
     """The bookkeeping of one run: work, friction losses, rescues, certificate."""
 
-    def __init__(self, equilibrium: Equilibrium, method: str) -> None:
-        self.equilibrium, self.method = equilibrium, method
+    def __init__(self, equilibrium: Equilibrium, method: str, increment: float | None) -> None:
+        self.equilibrium, self.method, self.increment = equilibrium, method, increment
         self.scene = equilibrium.scene
         self.rescues: dict[str, int] = {}
         self.books: list[_Entry] = []
@@ -238,7 +244,7 @@ class _Run:
     def back_to(self, x: FloatArray, s: float) -> None:
         """Undo what a failed increment has lagged."""
         self.equilibrium.travel = s
-        for term in self.scene.frictions:
+        for term in self.scene.remembering:
             term.refresh(x)
 
     def _leave_saddles(self, x: FloatArray, tries: int = 3) -> FloatArray:
@@ -258,7 +264,7 @@ class _Run:
         return x
 
     def _commit(self, x: FloatArray) -> None:
-        for term in self.scene.frictions:
+        for term in self.scene.remembering:
             term.commit(x)
 
     def _entry(self, x: FloatArray, s: float) -> _Entry:
@@ -305,10 +311,16 @@ class _Run:
             reason=reason,
             wall_s=wall,
             linear_solves=self.equilibrium.linear_solves,
-            linear_solver=self.equilibrium.solver.name,
             increments=len(self.books) - 1,
             rescues=self.rescues,
             residual=self.equilibrium.residual(g, certified=True),
+            settings={
+                "increment": self.increment,
+                "method": self.method,
+                "tolerance": self.equilibrium.tolerance,
+                "convex": self.equilibrium.convex,
+                "linear": self.equilibrium.solver.name,
+            },
             energy_balance=abs(self.gap) / max(abs(self.work), 1e-12),
             negative_pivots=negative,
             collapse=self.collapse,

@@ -140,6 +140,8 @@ class SuperLU:
             )
         except RuntimeError as error:
             raise SingularMatrixError(str(error)) from error
+        if (self._factor.perm_r != np.arange(n)).any():
+            raise SingularMatrixError("a pivot is zero")  # the signs would not be the inertia
         return int((self._factor.U.diagonal() < 0).sum())
 
     def solve(self, b: FloatArray) -> FloatArray:

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.sparse.linalg import LinearOperator, eigsh
+from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigsh
 
 from ..energy import Potential
 from ..scene import Scene
@@ -41,8 +41,8 @@ class Equilibrium:
         Sum of the nodal force residuals relative to the driving force.
     convex : "on demand" or "always"
         Which tangent to use.
-    linear_solves, energies : int
-        Factorisations, and energies evaluated in line searches.
+    linear_solves : int
+        Factorisations so far.
     travel : float
         Where the prescribed degrees of freedom are.
     """
@@ -52,7 +52,6 @@ class Equilibrium:
     tolerance: float = 1e-4
     convex: str = "on demand"
     linear_solves: int = 0
-    energies: int = 0
     travel: float = 0.0
     potential: Potential = field(init=False)
     solver: LinearSolver = field(init=False)
@@ -74,7 +73,7 @@ class Equilibrium:
         return float(np.where(self.scene.fixed, rate, 0.0) @ g)
 
     def residual(self, g: FloatArray, certified: bool = False) -> float:
-        """Sum of the free nodal forces relative to the driving force.
+        """Sum of the free nodal forces relative to the driving force, or to the dead load.
 
         Before the driving force has grown to 2 % of a resting tool's weight it is measured against
         that, unless `certified`.
@@ -83,6 +82,8 @@ class Equilibrium:
         r = np.where(scene.fixed, 0.0, g)
         total = np.linalg.norm(r[: scene.n_nodal].reshape(-1, scene.dim), axis=1).sum()
         total += np.abs(r[scene.n_nodal :]).sum()
+        if scene.dead_load:
+            return float(total / scene.dead_load)
         floor = 1e-9 if certified else 0.02 * scene.resting + 1e-9
         return float(total / max(abs(self.force(g)), floor))
 
@@ -142,11 +143,17 @@ class Equilibrium:
         _, load = self.factor_definite(x, motion)
         free = ~self.scene.fixed
         moved = x + motion
-        moved[free] -= self.solver.solve(self.potential.gradient(x)[free] + load)
+        moved[free] += self._direction(x, self.potential.gradient(x)[free] + load)
         self.travel = travel
         if np.isfinite(moved).all() and not self.turns_over(x, moved):
             return moved
         return x + motion
+
+    def _direction(self, x: FloatArray, force: FloatArray) -> FloatArray:
+        try:
+            return -self.solver.solve(force)
+        except SingularMatrixError as error:
+            raise NotConvergedError(str(error), x, np.inf) from error
 
     def motion_to(self, x: FloatArray, travel: float) -> FloatArray:
         """(n_dofs,) motion of the prescribed degrees of freedom from x to `travel`, mm."""
@@ -179,7 +186,7 @@ class Equilibrium:
                 exact, _ = self.factor_definite(x)
                 convex_left = 0 if exact else 1
             d = np.zeros_like(x)
-            d[free] = -self.solver.solve(g[free])
+            d[free] = self._direction(x, g[free])
             x = self._line_search(x, g, d, residual)
         raise NotConvergedError(
             f"no equilibrium in {max_iterations} Newton iterations: residual {residual:.1e} of the "
@@ -215,7 +222,6 @@ class Equilibrium:
         """Energy of a trial state; infinite where a triangle has been turned over since x."""
         if self.turns_over(x, trial):
             return np.inf
-        self.energies += 1
         return self.potential.energy(trial)
 
     def settle(self, x: FloatArray, passes: int = 12) -> FloatArray:
@@ -227,9 +233,9 @@ class Equilibrium:
         """
         for _ in range(passes):
             x = self.minimise(x)
-            if not self.scene.frictions:
+            if not self.scene.remembering:
                 return x
-            for term in self.scene.frictions:
+            for term in self.scene.remembering:
                 term.refresh(x)
             self._factored = None
             residual = self.residual(self.potential.gradient(x))
@@ -248,7 +254,10 @@ class Equilibrium:
         inverse = LinearOperator((n, n), matvec=self.solver.solve, dtype=float)
         start = np.random.default_rng(0).normal(size=n)
         # the most negative eigenvalue of the inverse belongs to the weakest unstable mode
-        _, modes = eigsh(inverse, k=1, which="SA", v0=start, tol=1e-2)
+        try:
+            _, modes = eigsh(inverse, k=1, which="SA", v0=start, tol=1e-2)
+        except ArpackNoConvergence as error:
+            raise NotConvergedError("no unstable mode found at a saddle", x, np.inf) from error
         d = np.zeros_like(x)
         d[~self.scene.fixed] = modes[:, 0]
         d *= 1e-3 * self.scene.blank.size / np.abs(self.scene.positions(d)).max()

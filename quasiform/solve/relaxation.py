@@ -62,12 +62,12 @@ def relax(
             x = x + motion / ramp
         if iteration % (refresh_every if iteration >= ramp else RAMP // 20) == 0:
             mass = _masses(equilibrium, x)
-            for term in scene.frictions:
+            for term in scene.remembering:
                 term.refresh(x)
         g = potential.gradient(x)
         residual = equilibrium.residual(g)
         # a residual counts with refreshed friction only
-        settled = not scene.frictions or iteration % refresh_every == 0
+        settled = not scene.remembering or iteration % refresh_every == 0
         if residual < tolerance and settled and iteration >= ramp:
             return x
         a = np.where(free, -g / mass, 0.0)
@@ -80,7 +80,7 @@ def relax(
             continue
         v, kinetic_before = v_next, kinetic
         x = x + v
-        if not np.isfinite(kinetic):
+        if not np.abs(v[: scene.n_nodal]).max() < scene.blank.size:
             raise NotConvergedError("dynamic relaxation diverged", x, np.inf)
     raise NotConvergedError(
         f"dynamic relaxation: residual {residual:.1e} after {max_iterations} iterations, "

@@ -1,0 +1,170 @@
+"""Runs as a user makes them: odd meshes, own terms, interruptions, stops, certificates."""
+
+import numpy as np
+import pytest
+
+import quasiform as qf
+from quasiform import theory
+from quasiform.energy.membrane import Membrane
+
+
+@pytest.mark.parametrize("angle", [44.9, 44.95, 44.99, 45.01, 45.05, 45.1])
+def test_lines_that_just_miss_a_corner_of_the_net_make_no_sliver(angle):
+    result = qf.solve(qf.off_axis_tension(angle, displacement=10, size=20), estimate=False)
+    straight = qf.solve(qf.off_axis_tension(45, displacement=10, size=20), estimate=False)
+    assert result.certified is True
+    assert result.force == pytest.approx(straight.force, rel=5e-3)
+
+
+@pytest.mark.parametrize("orientation", [0.01, 44.9, -30.0, 90.0])
+def test_forming_runs_at_any_orientation(orientation):
+    result = qf.solve(qf.forming(orientation=orientation, size=20, travel=5), estimate=False)
+    assert result.certified is True
+
+
+def test_stored_energy_is_an_upper_bounds_lower_neighbour():
+    """At 30 degrees the uniform bands are admissible: the minimiser stores no more."""
+    ideal = theory.OffAxisTension(320.0, 160.0, np.pi / 6)
+    result = qf.solve(qf.off_axis_tension(30, displacement=15), estimate=False)
+    fabric = result.scene.fabric
+    for state in result.states[1:]:
+        stored = result.scene.membrane.energy(state.x).sum()
+        bound = ideal.energy(state.travel, fabric.shear.energy, fabric.thickness)
+        assert 0.98 * bound < stored < bound
+
+
+@pytest.mark.parametrize("linear", ["superlu", "amg"])
+def test_linear_solvers_find_the_same_state(linear):
+    scene = qf.off_axis_tension(displacement=10, size=40)
+    convex = "always" if linear == "amg" else "on demand"
+    result = qf.solve(scene, linear=linear, convex=convex, estimate=False)
+    assert result.force == pytest.approx(qf.solve(scene, estimate=False).force, rel=1e-4)
+
+
+def test_relaxation_alone_reaches_newtons_state():
+    scene = qf.off_axis_tension(displacement=10, size=40)
+    newton = qf.solve(scene, increment=10, estimate=False)
+    relaxed = qf.solve(scene, increment=10, method="relaxation", estimate=False)
+    assert relaxed.force == pytest.approx(newton.force, rel=1e-3)
+    assert np.abs(relaxed.shear_angle - newton.shear_angle).max() < 0.02
+
+
+def test_collapse_is_flagged_and_passed():
+    result = qf.solve(qf.off_axis_tension(30, "best-fit", displacement=26, size=20), estimate=False)
+    assert result.status == "completed"
+    assert 20 < result.collapse["travel_mm"] < 26
+    assert "collapsed" in result.certified
+    assert all(np.isfinite(values).all() for values in result.cell_fields().values())
+
+
+def test_a_sheet_without_bending_stiffness_is_refused():
+    fabric = qf.Fabric(bending_warp=0.0)
+    with pytest.raises(qf.InputError, match="bending stiffness"):
+        qf.forming(law=fabric)
+
+
+class Spring:
+    """A user's own term with memory: a spring between a node and its last committed place."""
+
+    name = "spring"
+
+    def __init__(self, dof, x, stiffness):
+        self.dofs = np.array([[dof]])
+        self.anchor, self.stiffness = x[dof], stiffness
+        self.commits = 0
+
+    def energy(self, x):
+        return 0.5 * self.stiffness * (x[self.dofs[0]] - self.anchor) ** 2
+
+    def gradient(self, x):
+        return self.stiffness * (x[self.dofs] - self.anchor)
+
+    def hessian(self, x, convex):
+        return np.full((1, 1, 1), self.stiffness)
+
+    def refresh(self, x):
+        pass
+
+    def commit(self, x):
+        self.commits += 1
+
+
+def test_own_terms_with_memory_are_committed_and_not_compared_with_another_scene():
+    scene = qf.off_axis_tension(displacement=5, size=40)
+    middle = np.linalg.norm(scene.blank.nodes, axis=1).argmin()
+    spring = Spring(2 * middle, scene.x0, 1.0)
+    scene.terms.append(spring)
+    result = qf.solve(scene)
+    assert spring.commits == result.increments
+    assert result.estimate == {"shear_angle_deg": None, "force_N": None}
+    assert qf.solve(qf.off_axis_tension(displacement=5, size=40)).estimate["force_N"] < 0.1
+
+
+def test_an_interrupt_keeps_what_is_there(tmp_path):
+    def interrupt(progress):
+        if progress.travel > 6:
+            raise KeyboardInterrupt
+
+    result = qf.solve(qf.off_axis_tension(displacement=20, size=40), callback=interrupt)
+    assert result.status == "stopped"
+    assert "interrupted" in result.reason
+    assert 6 < result.states[-1].travel < 20
+    result.save(tmp_path / "out", pictures=False)
+    assert (tmp_path / "out" / "summary.json").is_file()
+
+
+def test_a_scene_by_hand_needs_no_size():
+    ready = qf.off_axis_tension(displacement=5, size=40)
+    blank = qf.Blank(ready.blank.nodes, ready.blank.triangles, ready.blank.warp, ready.blank.weft)
+    scene = qf.Scene(
+        name="by hand",
+        blank=blank,
+        fabric=ready.fabric,
+        dim=2,
+        terms=[Membrane(blank, ready.fabric, 2)],
+        x0=ready.x0,
+        fixed=ready.fixed,
+        drive=ready.drive,
+        travel=5.0,
+        increment=5.0,
+        rows=5.0,
+    )
+    assert qf.solve(scene).force == pytest.approx(qf.solve(ready).force, rel=1e-9)
+
+
+def test_a_motion_without_stiffness_stops_with_the_reason():
+    scene = qf.off_axis_tension(displacement=5, size=40)
+    scene.fixed[:] = False  # nothing is held
+    scene.fixed[0] = True
+    result = qf.solve(scene, estimate=False)
+    assert result.certified is not True
+
+
+def test_quarter_and_whole_agree():
+    quarter, whole = (
+        qf.solve(qf.forming(size=20, travel=10, symmetry=symmetry), estimate=False)
+        for symmetry in ("auto", "none")
+    )
+    assert quarter.force == pytest.approx(whole.force, rel=1e-6)
+    assert quarter.draw_in == pytest.approx(whole.draw_in, rel=1e-5)
+    assert quarter.areas == pytest.approx(whole.areas, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("radius = { value = 80.0", "radius = { value = 60.0", "die.radius must be at least"),
+        ("length = { value = 310.0", "length = { value = 100.0", "under the blank holder"),
+    ],
+)
+def test_impossible_tools_are_refused(tmp_path, old, new, message):
+    from quasiform import geometry
+
+    text = (geometry.FOLDER / "hemisphere.toml").read_text(encoding="utf-8")
+    text = text.replace(old, new)
+    if "length" in old:
+        text = text.replace("width = { value = 310.0", "width = { value = 100.0")
+    path = tmp_path / "mine.toml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(qf.InputError, match=message):
+        qf.forming(path, size=10)
