@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+import tomllib
+from collections.abc import Callable, Iterable
 from numbers import Real
-from typing import Any
+from pathlib import Path
+from typing import Any, TypeVar
+
+T = TypeVar("T")
 
 
 class InputError(ValueError):
@@ -29,6 +33,17 @@ def check_keys(table: Iterable[str], known: Iterable[str], where: str = "") -> N
         if key not in known:
             prefix = f"[{where}] " if where else ""
             raise InputError(f"{prefix}unknown key '{key}': {suggestion(key, known)}")
+
+
+def read_toml(path: str | Path, build: Callable[[dict[str, Any]], T]) -> T:
+    """Build something from the table in a TOML file; every refusal names the file."""
+    try:
+        with open(path, "rb") as file:
+            return build(tomllib.load(file))
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}") from error
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError, InputError) as error:
+        raise InputError(f"{path}: {error}") from error
 
 
 def suggestion(word: str, known: Iterable[str]) -> str:

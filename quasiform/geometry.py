@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from .checks import InputError, check_keys, check_number, suggestion
+from .checks import InputError, check_keys, check_number, read_toml, suggestion
 from .tool import Flipped, RoundOpening, RoundPunch, Shape
 
 STANDINGS = ("measured", "stated", "exact", "peer", "inferred", "assumed")
@@ -73,17 +72,7 @@ def load(name: str) -> Geometry:
         path = Path(name)
     else:
         raise InputError(f"unknown scene '{name}': {suggestion(name, built_in())}, or a .toml file")
-    try:
-        with path.open("rb") as file:
-            table = tomllib.load(file)
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from error
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError(f"{path}: {error}") from error
-    try:
-        return _geometry(table, path.stem)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
+    return read_toml(path, lambda table: _geometry(table, path.stem))
 
 
 def _geometry(table: dict[str, Any], name: str) -> Geometry:

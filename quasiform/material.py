@@ -13,7 +13,6 @@ Everything here works on plain arrays; no mesh is needed.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
@@ -21,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from .checks import InputError, check_keys, check_number, suggestion
+from .checks import InputError, check_keys, check_number, read_toml, suggestion
 
 FloatArray = np.ndarray
 
@@ -247,17 +246,7 @@ class Fabric:
         InputError
             For unreadable files, unknown keys and bad values; one line naming file and key.
         """
-        try:
-            with open(path, "rb") as file:
-                table = tomllib.load(file)
-        except OSError as error:
-            raise InputError(f"{path}: {error.strerror}") from error
-        except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-            raise InputError(f"{path}: {error}") from error
-        try:
-            return _fabric({"name": Path(path).stem, **table})
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from error
+        return read_toml(path, lambda table: _fabric({"name": Path(path).stem, **table}))
 
     def save(self, path: str | Path) -> None:
         """Write the fabric as TOML (MPa, mm, N mm, g/m²)."""

@@ -137,6 +137,8 @@ def test_a_motion_without_stiffness_stops_with_the_reason():
     scene.fixed[:] = False  # nothing is held
     scene.fixed[0] = True
     result = qf.solve(scene, estimate=False)
+    assert result.status == "stopped"
+    assert result.reason.startswith("at 0 of 5: ")
     assert result.certified is not True
 
 
