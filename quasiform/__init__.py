@@ -11,7 +11,8 @@ Units are mm, N, MPa and mJ; angles are degrees at this edge.
 
 from .blank import Blank, rectangle
 from .checks import InputError
-from .experiments import cantilever, forming, off_axis_tension, picture_frame
+from .experiments import cantilever, off_axis_tension, picture_frame
+from .forming import forming
 from .material import Fabric, ThreeStageLaw
 from .progress import progress
 from .result import Result

@@ -17,13 +17,14 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from .checks import InputError, check_number, suggestion
-from .experiments import forming, off_axis_tension
+from .experiments import off_axis_tension
 from .files import FILES, INCREMENTS, check_folder
-from .geometry import built_in
+from .forming import forming
 from .material import PRESETS
 from .progress import LiveProgress
 from .result import Result, package_version
 from .scene import Scene
+from .scene_file import built_in
 from .solve import solve
 from .solve.linear import NAMES as LINEAR_SOLVERS
 
@@ -56,7 +57,10 @@ def _run(arguments: argparse.Namespace) -> int:
         result = solve(scene, callback, arguments.increment, linear=arguments.linear)
     result.save(folder, force=arguments.force)
     _say(_report(result))
-    _say(f"files in {folder}: {', '.join(FILES)}, {len(result.states)} {INCREMENTS}")
+    written = [name for name in FILES if (folder / name).exists()]
+    if scene.outputs["increments"]:
+        written.append(f"{len(result.states)} {INCREMENTS}")
+    _say(f"files in {folder}: {', '.join(written)}")
     return 0 if result.status == "completed" else 3
 
 
@@ -127,18 +131,22 @@ def _add_form(commands: Any) -> None:
         allow_abbrev=False,
     )
     parser.add_argument("scene", metavar="SCENE", help=f"{', '.join(built_in())} or FILE.toml")
-    _add_number(parser, "--orientation", 0.0, "DEG", "angle of the warp to x", _degrees)
-    _add_law(parser)
-    _add_number(parser, "--size", 5.0, "MM", "spacing of the fibre lines")
     parser.add_argument(
-        "--travel", type=_positive, metavar="MM", help="travel of the punch (the scene's own)"
+        "--orientation", type=_degrees, metavar="DEG", help="angle of the warp to x (the scene's)"
+    )
+    _add_law(parser, None, "the scene's")
+    parser.add_argument(
+        "--size", type=_positive, metavar="MM", help="spacing of fibre lines (the scene's, or 5)"
+    )
+    parser.add_argument(
+        "--travel", type=_positive, metavar="MM", help="travel of the punch (the scene's)"
     )
     parser.add_argument(
         "--symmetry",
         type=_one_of("auto", "none"),
-        default="auto",
         metavar="auto|none",
-        help="model a quarter where everything is mirrored, or always the whole (auto)",
+        help="model a half or a quarter where everything is mirrored, or always the whole "
+        "(the scene's, or auto)",
     )
     _add_common(parser)
     parser.set_defaults(
@@ -174,12 +182,14 @@ def _add_common(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _add_law(parser: argparse.ArgumentParser) -> None:
+def _add_law(
+    parser: argparse.ArgumentParser, default: str | None = "locking", word: str = "locking"
+) -> None:
     parser.add_argument(
         "--law",
-        default="locking",
+        default=default,
         metavar="|".join([*PRESETS, "FILE.toml"]),
-        help="material (locking)",
+        help=f"material ({word})",
     )
 
 

@@ -1,4 +1,4 @@
-"""Ready scenes: off-axis tension test, hemisphere forming, picture frame, cantilever."""
+"""Ready scenes for the tests of a fabric: off-axis tension, picture frame, cantilever."""
 
 from __future__ import annotations
 
@@ -9,35 +9,19 @@ from numbers import Real
 from pathlib import Path
 
 import numpy as np
+import shapely
 
-from . import geometry
-from .blank import Blank, rectangle, rotation
+from .blank import Blank, rectangle
 from .checks import InputError, check_number
 from .energy.bending import Bending
-from .energy.contact import Contact
-from .energy.friction import Friction
 from .energy.membrane import Membrane
-from .energy.weight import GRAVITY, SheetWeight, ToolWeight
-from .material import Fabric
-from .measure import mid_edges
+from .energy.paired_membrane import membrane_of
+from .energy.weight import SheetWeight
+from .free_mesh import PAIRED, own_mesh, triangulate
+from .material import Fabric, fabric_of
 from .scene import Scene
-from .tool import Tool
 
 FloatArray = np.ndarray
-
-
-def fabric_of(law: str | Path | Fabric) -> Fabric:
-    """Return a `Fabric`: itself, a preset by name, or read from a TOML file.
-
-    Raises
-    ------
-    InputError
-    """
-    if isinstance(law, Fabric):
-        return law
-    if str(law).endswith(".toml"):
-        return Fabric.load(law)
-    return Fabric.preset(str(law))
 
 
 def off_axis_tension(
@@ -47,6 +31,7 @@ def off_axis_tension(
     width: float = 160.0,
     displacement: float = 80.0,
     size: float = 10.0,
+    mesh: str | Path = "fibre",
 ) -> Scene:
     """Off-axis tension test (Schäfer et al., Fig. 2 a) as a plane problem with rigid grips.
 
@@ -63,6 +48,9 @@ def off_axis_tension(
         l0, w0 and the largest grip displacement, mm.
     size : float
         Cell edge along the specimen's axes at 45°, mm: √2 times the spacing of the fibre lines.
+    mesh : "fibre", "free" or a path
+        Cut from the fibre lines; a free triangulation of as many triangles; or the user's own mesh
+        of the specimen, centred at the origin. The last two do not follow the fibres.
 
     Returns
     -------
@@ -89,13 +77,21 @@ def off_axis_tension(
         )
     if size > width:
         raise InputError(f"size must not exceed the width {width:g} mm, got {size:g}")
-    blank = rectangle(length, width, size / np.sqrt(2.0), orientation=-angle)
+    spacing = size / np.sqrt(2.0)
+    if mesh == "fibre":
+        blank = rectangle(length, width, spacing, orientation=-angle)
+    elif mesh == "free":
+        blank = triangulate(
+            shapely.box(*np.array([-length, -width, length, width]) / 2), spacing, -angle
+        )
+    else:
+        blank = own_mesh(mesh, -angle)
     x0 = blank.nodes.ravel().copy()
     left = blank.nodes[:, 0] < -length / 2 + 1e-6 * size
     right = blank.nodes[:, 0] > length / 2 - 1e-6 * size
     drive = np.zeros(len(x0))
     drive[0::2] = right
-    membrane = Membrane(blank, fabric, dim=2)
+    membrane = membrane_of(blank, fabric, dim=2)
     zones = off_axis_zones(blank, length, width, angle)
     # the centre: inside the zone of full shear and near the middle of the specimen
     band = min(
@@ -134,6 +130,7 @@ def off_axis_tension(
             "width": width,
             "displacement": displacement,
             "size": size,
+            "mesh": str(mesh),
         },
         measures={
             "shear_angle_center_deg": partial(mean, 0),
@@ -148,8 +145,15 @@ def off_axis_tension(
             ("bending left out", "no curvature in a plane problem"),
             ("contact and friction left out", "no tools"),
             ("weight left out", "acts out of the plane"),
+            *([PAIRED] if blank.pairs is not None else []),
         ],
-        coarser=lambda: off_axis_tension(angle, fabric, length, width, displacement, 2 * size),
+        coarser=(
+            None
+            if mesh not in ("fibre", "free")
+            else lambda: off_axis_tension(
+                angle, fabric, length, width, displacement, 2 * size, mesh
+            )
+        ),
     )
 
 
@@ -174,187 +178,6 @@ def off_axis_zones(
         "weft free": weft_free & ~warp_free,
         "rigid": ~warp_free & ~weft_free,
     }
-
-
-def forming(
-    scene: str = "hemisphere",
-    orientation: float = 0.0,
-    law: str | Fabric = "locking",
-    size: float = 5.0,
-    travel: float | None = None,
-    symmetry: str = "auto",
-    turn: float = 0.0,
-) -> Scene:
-    """Forming test with a punch, a die and a blank holder that rests with its own weight (Fig. 4).
-
-    Parameters
-    ----------
-    scene : str
-        Name of a built-in geometry, or a TOML file of the same form.
-    orientation : float
-        Angle of the warp to x, degrees; outline and tools stay.
-    law : str or Fabric
-    size : float
-        Spacing of the fibre lines, mm.
-    travel : float, optional
-        Travel of the punch from first touch, mm; the geometry's own if not given.
-    symmetry : "auto" or "none"
-        Whether mirror planes of blank, fibres and tools are used.
-    turn : float
-        Turns the blank with its fibres about the punch axis, degrees.
-
-    Returns
-    -------
-    Scene
-
-    Raises
-    ------
-    InputError
-        For bad input, and for a fabric without bending stiffness: a sheet without it has no
-        wavelength for its wrinkles and no stiffness before it is stretched.
-    """
-    shape = geometry.load(str(scene))
-    fabric = fabric_of(law)
-    check_number("size", size)
-    for name, value in (("orientation", orientation), ("turn", turn)):
-        if not isinstance(value, Real) or not np.isfinite(value):
-            raise InputError(f"{name} must be a number of degrees, got {value!r}")
-    if symmetry not in ("auto", "none"):
-        raise InputError(f"symmetry must be 'auto' or 'none', got {symmetry!r}")
-    goal = shape.travel if travel is None else check_number("travel", travel)
-    if goal > shape.travel:
-        raise InputError(
-            f"travel must not exceed {shape.travel:g} mm in this geometry, got {goal:g}"
-        )
-    if size > min(shape.length, shape.width) / 8:
-        raise InputError(
-            f"size must not exceed an eighth of the blank, {min(shape.length, shape.width) / 8:g}, "
-            f"got {size:g}"
-        )
-    for part, tool in (("die", shape.die), ("holder", shape.holder.shape)):
-        least = shape.punch.radius + fabric.thickness
-        if tool.radius < least:
-            raise InputError(f"{part}.radius must be at least {least:g} mm, got {tool.radius:g}")
-    if fabric.bending_warp == 0 or fabric.bending_weft == 0:
-        raise InputError(
-            "forming in space needs a bending stiffness: bending_warp or _weft is zero"
-        )
-
-    mirrored = symmetry == "auto" and orientation % 90 == 0 and turn == 0
-    mirror = ("x", "y") if mirrored else ()
-    blank = rectangle(
-        shape.length, shape.width, size, orientation, through=((0.0, 0.0),), mirror=mirror
-    )
-    if turn:
-        blank = blank.turned(turn)
-    share = 0.5 ** len(mirror)
-    n, t0 = len(blank.nodes), fabric.thickness
-    tools = [
-        Tool("punch", shape.punch, t0, "driven", fabric.friction),
-        Tool("die", shape.die, 0.0, "fixed", fabric.friction),
-        Tool("blank holder", shape.holder, t0, "free", fabric.friction, shape.mass),
-    ]
-    contacts = [Contact(blank, fabric, tool, 3 * n + i) for i, tool in enumerate(tools)]
-    _, _, on_holder = contacts
-    x0 = np.zeros(3 * n + 3)
-    x0[: 3 * n].reshape(-1, 3)[:, :2] = blank.nodes
-    x0[3 * n :] = [tool.height for tool in tools]
-    # start at the equilibrium of the holder's weight: sheet and holder sunk in by as much
-    weight = 1e3 * GRAVITY * shape.mass * share
-    held = (
-        np.linalg.norm(blank.nodes, axis=1) > shape.holder.shape.radius + shape.holder.shape.fillet
-    )
-    if not held.any():
-        raise InputError("the blank does not reach under the blank holder")
-    sunk = on_holder.depth_under(weight, blank.node_areas[held].sum())
-    x0[2 : 3 * n : 3] = 0.5 * t0 - sunk
-    x0[3 * n + 2] = t0 - 2 * sunk
-
-    fixed = np.zeros(len(x0), dtype=bool)
-    fixed[3 * n : 3 * n + 2] = True
-    drive = np.zeros(len(x0))
-    drive[3 * n] = -1.0
-    for axis, plane in enumerate("xy"):
-        if plane in mirror:
-            fixed[axis : 3 * n : 3] |= np.abs(blank.nodes[:, axis]) < 1e-9
-    model = [("bending of warp and weft lines", "the sheet leaves its plane")]
-    if mirror:
-        model.append(("a quarter", "blank, fibres and tools are mirrored at x = 0 and y = 0"))
-    elif symmetry == "none":
-        model.append(("the whole blank", "symmetry is switched off"))
-    else:
-        model.append(("the whole blank", "the fibres are not mirrored at x = 0 and y = 0"))
-    model.append(("tools in closed form", "punch, die and blank holder have an exact distance"))
-    frictions = []
-    if fabric.friction:
-        frictions = [Friction(contact, x0) for contact in contacts]
-    else:
-        model.append(("friction left out", "its coefficient is zero"))
-        if not mirror:  # nothing else holds the sheet in its plane
-            middle = np.linalg.norm(blank.nodes, axis=1).argmin()
-            beside = np.linalg.norm(blank.nodes - blank.warp * size, axis=1).argmin()
-            across = int(abs(blank.warp[1]) < abs(blank.warp[0]))
-            fixed[[3 * middle, 3 * middle + 1, 3 * beside + across]] = True
-            model.append(("middle of the sheet held in the plane", "no friction holds it"))
-    sheet = 1e-6 * fabric.areal_weight * shape.length * shape.width * GRAVITY
-    model.append(
-        (
-            "weight of the sheet left out",
-            f"{sheet:.2g} N beside the blank holder's {weight / share:.3g} N",
-        )
-    )
-    membrane = Membrane(blank, fabric, dim=3)
-    edges = mid_edges(blank, shape.length, shape.width, turn)
-
-    return Scene(
-        name=f"{shape.name}-{orientation:g}",
-        blank=blank,
-        fabric=fabric,
-        dim=3,
-        terms=[
-            membrane,
-            Bending(blank, fabric),
-            *contacts,
-            *frictions,
-            ToolWeight(shape.mass * share, 3 * n + 2),
-        ],
-        x0=x0,
-        fixed=fixed,
-        drive=drive,
-        travel=float(goal),
-        increment=5.0,
-        rows=5.0,
-        travel_name="travel_mm",
-        share=share,
-        resting=weight,
-        model=model,
-        parameters={
-            "scene": str(scene),
-            "orientation": orientation,
-            "law": fabric.name,
-            "size": size,
-            "travel": goal,
-            "symmetry": symmetry,
-            "turn": turn,
-            "fabric": asdict(fabric),
-            "geometry": asdict(shape),
-        },
-        measures={
-            "holder_force_N": lambda x: float(-on_holder.gradient(x)[:, 3].sum() / share),
-            "shear_angle_max_deg": lambda x: float(
-                np.degrees(np.abs(membrane.shear_angle(x)).max())
-            ),
-            "draw_in_mm": lambda x: float(
-                np.mean([edge.draw_in(x[: 3 * n].reshape(-1, 3)) for edge in edges.values()])
-            ),
-        },
-        areas={
-            name: (tuple(rotation(turn) @ centre), radius)
-            for name, (centre, radius) in shape.areas.items()
-        },
-        edges=edges,
-        coarser=lambda: forming(scene, orientation, law, 2 * size, travel, symmetry, turn),
-    )
 
 
 def picture_frame(

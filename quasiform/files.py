@@ -11,8 +11,15 @@ from tempfile import TemporaryDirectory
 from .checks import InputError
 
 INCREMENTS = "increment_*.vtu"
-PICTURES = ("shear_angle.png", "history.png")
-FILES = ("summary.json", "history.csv", "result.vtu", "result.pvd", *PICTURES)
+PICTURES = ("shear_angle.png", "history.png", "doubt.png")
+FILES = (
+    "summary.json",
+    "history.csv",
+    "outline.csv",
+    "result.vtu",
+    "result.pvd",
+    *PICTURES,
+)
 
 
 def check_folder(out: str | Path, *, force: bool = False) -> Path:

@@ -179,6 +179,8 @@ class Fabric:
         (*assumed*). A bundle of round fibres that slide freely bends alike in every direction: 1.
         The paper's model has none; with little of it (0.01) the softening of the shear law gathers
         the shear at 45° in bands one element wide, and the peak depends on mesh and increments.
+    shear_range : float
+        Shear angle up to which the shear law follows the tests, degrees (MD600: about 57, stated).
 
     Raises
     ------
@@ -197,8 +199,9 @@ class Fabric:
     bending_weft: float = 3.863
     friction: float = 0.157
     areal_weight: float = 600.0
-    compaction: float = 10.0
+    compaction: float = 40.0
     in_plane_bending: float = 1.0
+    shear_range: float = 57.0
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str):
@@ -208,7 +211,7 @@ class Fabric:
             > 1
         ):
             raise InputError(f"in_plane_bending must not exceed 1, got {self.in_plane_bending}")
-        for name in ("thickness", "compaction"):
+        for name in ("thickness", "compaction", "shear_range"):
             check_number(f"Fabric({name}=...)", getattr(self, name))
         for name in (
             "bending_warp",
@@ -264,6 +267,20 @@ class Fabric:
 
 
 PRESETS = ("locking", "best-fit")
+
+
+def fabric_of(law: str | Path | Fabric) -> Fabric:
+    """Return a `Fabric`: itself, a preset by name, or read from a TOML file.
+
+    Raises
+    ------
+    InputError
+    """
+    if isinstance(law, Fabric):
+        return law
+    if str(law).endswith(".toml"):
+        return Fabric.load(law)
+    return Fabric.preset(str(law))
 
 
 def _fabric(table: Mapping[str, Any]) -> Fabric:

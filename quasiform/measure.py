@@ -1,4 +1,4 @@
-"""What is read off a sheet: draw-in at mid-edge, means over named areas, percentiles by area."""
+"""What is read off a sheet: draw-in, means over areas, percentiles, and where not to trust it."""
 
 from __future__ import annotations
 
@@ -7,8 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from .blank import Blank, rotation
+from .energy.membrane import Membrane
 
 FloatArray = np.ndarray
+SLIP_GRADIENT = 2.4
+"""Shear gradient at which rovings may slip, degrees/mm: in the 45° off-axis tension test the paper
+saw slippage from u = 30 mm on, where the shear jumps by 12° between zones; over a width of 5 mm
+(*inferred* from stated facts, the width *assumed*)."""
 
 
 @dataclass(frozen=True)
@@ -25,32 +30,42 @@ class EdgePoint:
         return float(self.inward @ (self.shares @ positions[self.nodes, :2] - self.flat))
 
 
-def mid_edges(blank: Blank, length: float, width: float, turn: float = 0.0) -> dict[str, EdgePoint]:
-    """Middle of each edge of a rectangular blank by direction "+x", "-x", "+y", "-y".
-
-    On a mirrored blank the modelled side stands for both.
+def edge_points(blank: Blank, turn: float = 0.0) -> dict[str, EdgePoint]:
+    """Outermost points of the outline from the blank's middle along "+x", "-x", "+y", "-y".
 
     Parameters
     ----------
     blank : Blank
-    length, width : float
-        mm, along the blank's own x and y.
+        The whole sheet.
     turn : float
-        Degrees by which the blank is turned.
+        Degrees by which the blank, and with it its x and y, is turned.
     """
     R = rotation(turn)
     rim = blank.mesh.facets[:, blank.mesh.boundary_facets()].T
-    start, step = blank.nodes[rim[:, 0]], np.diff(blank.nodes[rim], axis=1)[:, 0]
+    flat = blank.nodes @ R  # in the blank's own axes
+    middle = 0.5 * (flat.min(0) + flat.max(0))
+    start, step = flat[rim[:, 0]] - middle, np.diff(flat[rim], axis=1)[:, 0]
     points = {}
     for axis, name in enumerate("xy"):
         for mark, sign in (("+", 1.0), ("-", -1.0)):
+            other = 1 - axis
+            with np.errstate(divide="ignore", invalid="ignore"):
+                s = -start[:, other] / step[:, other]
+            crosses = (s >= -1e-9) & (s <= 1 + 1e-9)
+            if not crosses.any():
+                continue
+            along = start[:, axis] + np.where(crosses, s, 0.0) * step[:, axis]
+            reach = np.where(crosses, sign * along, 0.0)
+            at = reach.argmax()
+            if reach[at] <= 0:
+                continue
+            share = float(np.clip(s[at], 0.0, 1.0))
             outward = np.zeros(2)
-            outward[axis] = 1.0 if name in blank.mirror else sign
-            flat = R @ (outward * (length, width)[axis] / 2)
-            s = np.clip(((flat - start) * step).sum(1) / (step**2).sum(1), 0.0, 1.0)
-            at = np.linalg.norm(start + s[:, None] * step - flat, axis=1).argmin()
-            shares = np.array([1.0 - s[at], s[at]])
-            points[mark + name] = EdgePoint(rim[at], shares, -R @ outward, flat)
+            outward[axis] = sign
+            shares = np.array([1.0 - share, share])
+            points[mark + name] = EdgePoint(
+                rim[at], shares, -R @ outward, shares @ blank.nodes[rim[at]]
+            )
     return points
 
 
@@ -70,3 +85,29 @@ def percentile(values: FloatArray, areas: FloatArray, share: float) -> float:
     order = np.argsort(values)
     below = np.cumsum(areas[order])
     return float(values[order][np.searchsorted(below, share * below[-1])])
+
+
+def shear_stability(membrane: Membrane, x: FloatArray) -> FloatArray:
+    """(n_triangles,) stiffness against a local turn of the fibres, MPa; negative: unstable.
+
+    With the tension S_aa along a family, S_aa + W6'' (I8 - I6²/I4) > 0, and the same for the other
+    family: the ellipticity of the law for a rotation of the fibres. Softening shear makes bands
+    where it fails.
+    """
+    I4, I6, I8 = membrane.invariants(x)
+    S = membrane.stress(x)
+    W2 = membrane.fabric.shear.stiffness(I6)
+    return np.minimum(S[:, 0, 0] + W2 * (I8 - I6**2 / I4), S[:, 1, 1] + W2 * (I4 - I6**2 / I8))
+
+
+def shear_gradient(blank: Blank, gamma: FloatArray) -> FloatArray:
+    """(n_triangles,) gradient of the shear angle over the flat blank, in units of gamma by mm.
+
+    That of the linear interpolation of area-weighted means at the nodes.
+    """
+    corners = blank.triangles.ravel()
+    weight = np.repeat(blank.areas, 3)
+    total = np.bincount(corners, weight, minlength=len(blank.nodes))
+    at_nodes = np.bincount(corners, weight * np.repeat(gamma, 3), minlength=len(total)) / total
+    grad = blank.basis.interpolate(at_nodes).grad[:, :, 0]
+    return np.linalg.norm(grad, axis=0)

@@ -16,7 +16,7 @@ import numpy as np
 import shapely
 
 from .blank import Blank
-from .measure import percentile
+from .measure import SLIP_GRADIENT, percentile
 from .result import Result
 from .scene import COLLAPSE
 from .theory import OffAxisTension
@@ -57,11 +57,18 @@ FIRST, SECOND, STOP = "#4b2991", "#d1605e", "#b00020"
 CURVE = {"markersize": 2, "color": FIRST, "clip_on": False}
 SCALES = (10, 20, 30, 45, 60, 75, 90)  # ends of the colour scale, degrees
 AZIMUTH, ELEVATION = np.radians(-62.0), np.radians(36.0)
+TRUSTED = "#f2f2f2"
+DOUBTS = {  # later ones lie over earlier ones
+    "unstable_in_shear": ("#9ecae1", "unstable: bands may form"),
+    "rovings_may_slip": ("#807dba", "steeper than {slip:g}°/mm: rovings may slip"),
+    "beyond_identified_range": ("#fdae61", "beyond {range:g}°: law not identified"),
+    "collapsed": ("#b2182b", "collapsed"),
+}
 LIGHT = np.array([-0.45, 0.55, 0.70])  # direction to the light: right, up, towards the viewer
 
 
 def save_pictures(result: Result, folder: str | Path) -> None:
-    """Write `shear_angle.png` and `history.png`.
+    """Write `shear_angle.png`, `history.png` and `doubt.png`.
 
     Parameters
     ----------
@@ -76,6 +83,7 @@ def save_pictures(result: Result, folder: str | Path) -> None:
         sheet = _plane_figure(result) if result.scene.dim == 2 else _formed_figure(result)
         sheet.savefig(Path(folder) / "shear_angle.png", dpi=DPI)
         _history_figure(result).savefig(Path(folder) / "history.png", dpi=DPI)
+        _doubt_figure(result).savefig(Path(folder) / "doubt.png", dpi=DPI)
 
 
 def _formed_figure(result: Result) -> Figure:
@@ -108,6 +116,33 @@ def _plane_figure(result: Result) -> Figure:
     _draw_from_above(panels["sheet"], result, colours)
     _draw_force(panels["force"], result)
     _draw_colour_scale(figure, colours, ax=panels["sheet"], shrink=0.85, aspect=25, panchor=False)
+    figure.suptitle(_title(result), parse_math=False)
+    return figure
+
+
+def _doubt_figure(result: Result) -> Figure:
+    """Where not to trust the shear angle, and why, seen along z."""
+    from matplotlib.colors import to_rgba
+    from matplotlib.patches import Patch
+
+    figure = _figure(4.2)
+    axes, key = figure.subplots(1, 2, width_ratios=[1.35, 1])
+    blank = result.blank
+    faces = np.tile(to_rgba(TRUSTED), (len(blank.triangles), 1))
+    doubts = result.doubts()
+    handles = []
+    for reason, (colour, words) in DOUBTS.items():
+        faces[doubts[reason]] = to_rgba(colour)
+        share = 100 * blank.areas @ doubts[reason] / blank.areas.sum()
+        label = words.format(range=result.scene.fabric.shear_range, slip=SLIP_GRADIENT)
+        handles.append(Patch(facecolor=colour, label=f"{label}: {share:.1f} %"))
+    positions = result.positions()
+    _paint(axes, result, positions, faces, shaded=False)
+    _frame(axes, positions[:, :2])
+    key.axis("off")
+    trusted = Patch(facecolor=TRUSTED, edgecolor="0.6", label="nothing against it")
+    title = "doubts about the shear angle, share of the area"
+    key.legend(handles=[*handles[::-1], trusted], loc="upper left", title=title, frameon=False)
     figure.suptitle(_title(result), parse_math=False)
     return figure
 
@@ -217,7 +252,7 @@ def _view(turned_over: bool) -> FloatArray:
 
 
 def _paint(
-    axes: Axes, result: Result, P: FloatArray, colours: ScalarMappable, *, shaded: bool
+    axes: Axes, result: Result, P: FloatArray, colours: ScalarMappable | FloatArray, *, shaded: bool
 ) -> None:
     """Draw triangles and fibre lines from far to near.
 
@@ -227,7 +262,8 @@ def _paint(
     result : Result
     P : (n_nodes, 3) array
         Nodes in the view: to the right, up, towards the viewer, mm.
-    colours : ScalarMappable
+    colours : ScalarMappable, or (n_triangles, 4) array
+        Of the shear angle, or by triangle.
     shaded : bool
         Shade the triangles by their normals.
     """
@@ -235,9 +271,12 @@ def _paint(
     from matplotlib.colors import to_rgba
 
     blank = result.blank
-    faces = colours.to_rgba(np.abs(result.shear_angle))
     collapsed = _collapsed(result)
-    faces[collapsed] = to_rgba(COLLAPSED)
+    if isinstance(colours, np.ndarray):
+        faces = colours.copy()
+    else:
+        faces = colours.to_rgba(np.abs(result.shear_angle))
+        faces[collapsed] = to_rgba(COLLAPSED)
     if shaded:
         faces[:, :3] *= _shade(blank, P)[:, None]
     pitch = max(blank.size, np.ptp(blank.nodes, axis=0).max() / 20)
@@ -281,7 +320,8 @@ def _shade(blank: Blank, P: FloatArray) -> FloatArray:
 def _fibre_lines(blank: Blank, pitch: float) -> np.ndarray:
     """(n_segments, 2) nodes of every so many fibre lines, about `pitch` mm apart when flat."""
     kept = []
-    for family, across in (("warp", blank.weft), ("weft", blank.warp)):
+    families = (("warp", blank.weft), ("weft", blank.warp)) if blank.pairs is None else ()
+    for family, across in families:
         segments = blank.fibre_lines(family).t.T
         if not len(segments):  # a mesh that does not follow the fibres
             continue
@@ -318,7 +358,7 @@ def _draw_from_above(axes: Axes, result: Result, colours: ScalarMappable) -> lis
 def _draw_grips(axes: Axes, result: Result, positions: FloatArray) -> list[FloatArray]:
     """Hatch a band along the fully held parts of the outline; return the bands' outlines."""
     scene, blank = result.scene, result.blank
-    held = scene.fixed[: scene.n_nodal].reshape(-1, scene.dim).all(1)[scene.blank.unfolded()[1]]
+    held = scene.fixed[: scene.n_nodal].reshape(-1, scene.dim).all(1)[scene.whole[1]]
     of_triangle = blank.mesh.f2t[0, blank.mesh.boundary_facets()]
     rim = _rim(blank)
     gripped = held[rim].all(1)
@@ -340,10 +380,7 @@ def _draw_draw_in_arrows(axes: Axes, result: Result) -> None:
     scene = result.scene
     away = 0.055 * np.ptp(result.blank.nodes, axis=0).max()
     for name, draw_in in result.draw_in.items():
-        edge, sign = scene.edges[name], np.ones(2)
-        if name in ("-x", "-y") and name[1] in scene.blank.mirror:
-            sign["xy".index(name[1])] = -1.0  # the modelled side stands for both
-        flat, inward = edge.flat * sign, edge.inward * sign
+        flat, inward = scene.edges[name].flat, scene.edges[name].inward
         tilt = np.degrees(np.arctan2(inward[0], -inward[1]))
         _draw_arrow(axes, flat, flat + draw_in * inward)
         axes.text(
@@ -518,7 +555,10 @@ def _draw_draw_in(axes: Axes, result: Result) -> None:
     scene = result.scene
     travel = np.array([s.travel for s in result.states])
     draw_in = np.array(
-        [[e.draw_in(scene.positions(s.x)) for e in scene.edges.values()] for s in result.states]
+        [
+            [e.draw_in(scene.whole_positions(s.x)) for e in scene.edges.values()]
+            for s in result.states
+        ]
     )
     mean = draw_in.mean(1)
     axes.plot(travel, mean, "o-", **CURVE, label="mean of the edges")

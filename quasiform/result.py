@@ -6,7 +6,6 @@ import csv
 import json
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass, field
-from functools import cached_property
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -15,9 +14,10 @@ import meshio
 import numpy as np
 
 from .blank import Blank
+from .energy.contact import LEVER
 from .files import replaced
-from .measure import disc, percentile
-from .scene import Scene
+from .measure import SLIP_GRADIENT, disc, percentile, shear_gradient, shear_stability
+from .scene import COLLAPSE, Scene
 
 FloatArray = np.ndarray
 CERTIFIED_RESIDUAL = 1e-3
@@ -87,24 +87,18 @@ class Result:
         """Return "completed" or "stopped"."""
         return "stopped" if self.reason else "completed"
 
-    @cached_property
-    def _unfolding(self) -> tuple[Blank, Any, Any, Any, Any]:
-        return self.scene.blank.unfolded()
-
     @property
     def blank(self) -> Blank:
-        """The whole flat blank (mirrored where a part was modelled)."""
-        return self._unfolding[0]
+        """The whole flat blank in the user's axes (mirrored where a part was modelled)."""
+        return self.scene.whole[0]
 
     def positions(self, state: int = -1) -> FloatArray:
         """(n_nodes, 3) positions of the whole sheet, mm."""
-        _, source, sign, _, _ = self._unfolding
-        part = self.scene.positions(self.states[state].x)
-        return np.pad(part, ((0, 0), (0, 3 - part.shape[1])))[source] * sign
+        return self.scene.whole_positions(self.states[state].x)
 
     def shear_angles(self, state: int = -1) -> FloatArray:
         """(n_triangles,) signed shear angle of the whole sheet, degrees."""
-        _, _, _, source, sign = self._unfolding
+        _, _, _, source, sign = self.scene.whole
         return np.degrees(self.scene.membrane.shear_angle(self.states[state].x))[source] * sign
 
     @property
@@ -133,7 +127,7 @@ class Result:
     def cell_fields(self, state: int = -1) -> dict[str, FloatArray]:
         """Fields by triangle: shear_angle (degrees), warp, weft (unit vectors), E11, E22, S12."""
         blank, membrane = self.blank, self.scene.membrane
-        _, _, _, source, sign = self._unfolding
+        _, _, _, source, sign = self.scene.whole
         x = self.states[state].x
         I4, _, I8 = membrane.invariants(x)
         positions = self.positions(state)
@@ -148,17 +142,82 @@ class Result:
             "E11": (0.5 * (I4 - 1.0))[source],
             "E22": (0.5 * (I8 - 1.0))[source],
             "S12": membrane.stress(x)[source, 0, 1] * sign,
+            "shear_stability": shear_stability(membrane, x)[source],
+            "doubt": sum(
+                2**bit * flag.astype(float) for bit, flag in enumerate(self.doubts(state).values())
+            ),
         }
+
+    def doubts(self, state: int = -1) -> dict[str, np.ndarray]:
+        """Triangles whose shear angle should not be trusted, by reason; bool (n_triangles,) each.
+
+        The cell field `doubt` adds 1, 2, 4, 8 for these in order.
+        """
+        x, blank = self.states[state].x, self.blank
+        _, _, _, source, _ = self.scene.whole
+        gamma = np.abs(self.shear_angles(state))
+        return {
+            "beyond_identified_range": gamma > self.scene.fabric.shear_range,
+            "unstable_in_shear": shear_stability(self.scene.membrane, x)[source] < 0,
+            "collapsed": gamma > np.degrees(COLLAPSE),
+            "rovings_may_slip": shear_gradient(blank, gamma) > SLIP_GRADIENT,
+        }
+
+    def outline(self, state: int = -1) -> list[FloatArray]:
+        """Closed outline of the deformed blank, then those of its holes; (n, 3) points each, mm."""
+        positions = self.positions(state)
+        return [positions[loop] for loop in self.blank.outline]
+
+    @property
+    def wrinkles(self) -> dict[str, float]:
+        """How far the sheet leaves the tools' flat faces, mm, and its largest curvature, 1/mm."""
+        scene, x = self.scene, self.states[-1].x
+        lift = 0.0
+        for contact in scene.contacts:
+            if contact.tool.motion == "fixed":
+                d, n, _ = contact.distance(contact.relative(x))
+                above = np.abs(n[:, 2]) > 0.99
+                if above.any():
+                    lift = max(lift, float((d - contact.reach - contact.points.sag)[above].max()))
+        bending = next(term for term in scene.terms if hasattr(term, "curvature"))
+        return {
+            "flange_lift_mm": lift,
+            "largest_curvature_1_per_mm": float(np.abs(bending.curvature(x)).max()),
+        }
+
+    def resting_tools(self) -> dict[str, dict[str, float | list[float]]]:
+        """Lift (mm) and tilt (degrees) of each free tool, or the moment its guide takes (N mm)."""
+        scene, x = self.scene, self.states[-1].x
+        found = {}
+        for contact in scene.contacts:
+            tool, dofs = contact.tool, contact.tool_dofs
+            if tool.motion != "free":
+                continue
+            entry = found.setdefault(
+                tool.name, {"lift_mm": float(x[dofs[0]] - self.states[0].x[dofs[0]])}
+            )
+            if tool.tilts:
+                tilt = np.degrees(scene.to_user(x[dofs[1:]]) / LEVER)
+                entry["tilt_deg"] = tilt.tolist()
+            else:
+                moment = contact.moment(x) / scene.share
+                for axis, plane in enumerate("xy"):
+                    if plane in scene.blank.mirror:
+                        moment[1 - axis] = 0.0
+                moment = scene.to_user(moment) + entry.get("held_moment_Nmm", np.zeros(2))
+                entry["held_moment_Nmm"] = moment.tolist()
+        return found
 
     def point_fields(self, state: int = -1) -> dict[str, FloatArray]:
         """Fields by node: displacement (mm) and contact_pressure (MPa, summed over the tools)."""
-        _, source, _, _, _ = self._unfolding
+        _, source, _, _, _ = self.scene.whole
         X = np.pad(self.blank.nodes, ((0, 0), (0, 1)))
         if self.scene.dim == 3:
             X[:, 2] = self.scene.positions(self.scene.x0)[source, 2]
-        pressure = np.zeros(len(self.scene.blank.nodes))
+        force = np.zeros(len(self.scene.blank.nodes))
         for contact in self.scene.contacts:
-            pressure += contact.pressure(self.states[state].x)
+            force += contact.nodal_force(self.states[state].x)
+        pressure = force / self.scene.blank.node_areas
         return {
             "displacement": self.positions(state) - X,
             "contact_pressure": pressure[source],
@@ -176,14 +235,15 @@ class Result:
         x, facets = self.states[-1].x, self.scene.blank.mesh.facets.T
         depths = []
         for contact in self.scene.contacts:
-            middle = contact.relative(x)[facets].mean(1)
-            depths.append((contact.offset - contact.tool.shape.distance(middle)[0]).max())
+            arm = self.scene.positions(x)[facets].mean(1) - contact.origin(x)
+            middle = contact.in_tool_frame(x, arm)
+            depths.append(0.5 * self.scene.fabric.thickness - contact.distance(middle)[0].min())
         return float(max([0.0, *depths]))
 
     @property
     def draw_in(self) -> dict[str, float]:
         """Inward motion of the middle of each edge at the end, mm, by direction."""
-        positions = self.scene.positions(self.states[-1].x)
+        positions = self.positions()
         return {name: edge.draw_in(positions) for name, edge in self.scene.edges.items()}
 
     @property
@@ -223,7 +283,9 @@ class Result:
         Left open where the coarse scene is another one (a user has added terms or changed the
         travel), stopped early, or where one of the two has collapsed.
         """
-        same = [term.name for term in self.scene.terms] == [t.name for t in coarse.scene.terms]
+        same = [t.name for t in self.scene.terms if "between" not in t.name] == [
+            t.name for t in coarse.scene.terms if "between" not in t.name
+        ]
         same = same and self.scene.fixed.sum() >= coarse.scene.fixed.sum()
         same = same and self.states[-1].travel == coarse.states[-1].travel
         if not same or coarse.reason or self.reason or coarse.collapse or self.collapse:
@@ -274,17 +336,23 @@ class Result:
             "rescues": self.rescues,
             "certified": self.certified,
         }
+        area = blank.areas
+        summary["doubtful_share"] = {
+            reason: float(area @ flag / area.sum()) for reason, flag in self.doubts().items()
+        }
         if scene.contacts:
             summary |= {
                 "max_penetration_mm": self.max_penetration,
                 "chord_penetration_mm": self.chord_penetration,
                 "draw_in_mm": self.draw_in,
                 "areas": self.areas,
+                "resting_tools": self.resting_tools(),
+                "wrinkles": self.wrinkles,
             }
         return _finite(summary)
 
-    def save(self, out: str | Path, *, force: bool = False, pictures: bool = True) -> Path:
-        """Write summary.json, history.csv, result.vtu, result.pvd and the pictures.
+    def save(self, out: str | Path, *, force: bool = False, pictures: bool | None = None) -> Path:
+        """Write summary.json, history.csv, outline.csv, result.vtu, result.pvd and the pictures.
 
         Parameters
         ----------
@@ -292,7 +360,8 @@ class Result:
             Folder; made if missing.
         force : bool
             Replace an existing result.
-        pictures : bool
+        pictures : bool, optional
+            Whether to draw the pictures; the scene's own choice if not given.
 
         Raises
         ------
@@ -301,7 +370,9 @@ class Result:
         """
         with replaced(out, force=force) as folder:
             self._write(folder)
-        if pictures:  # last: the numbers of a long run shall not depend on them
+        if (
+            self.scene.outputs["pictures"] if pictures is None else pictures
+        ):  # last: the numbers of a long run shall not depend on them
             from .plot import save_pictures
 
             save_pictures(self, Path(out))
@@ -316,9 +387,14 @@ class Result:
             writer.writerow(history)
             for row in zip(*history.values(), strict=True):
                 writer.writerow([f"{value:.8g}" for value in row])
+        with (folder / "outline.csv").open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow(["loop", "x_mm", "y_mm", "z_mm"])
+            for number, loop in enumerate(self.outline()):
+                writer.writerows([number, *(f"{c:.6g}" for c in point)] for point in loop)
         collection = ET.Element("VTKFile", type="Collection", version="0.1")
         series = ET.SubElement(collection, "Collection")
-        for i, state in enumerate(self.states):
+        for i, state in enumerate(self.states if self.scene.outputs["increments"] else ()):
             name = f"increment_{i:04d}.vtu"
             self._mesh(i).write(folder / name)
             ET.SubElement(series, "DataSet", timestep=f"{state.travel:.8g}", part="0", file=name)

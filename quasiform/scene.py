@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from .blank import Blank
+from .blank import Blank, rotation
 from .energy import Remembering, Term
-from .energy.contact import Contact
+from .energy.contact import LEVER, Contact
 from .energy.friction import Friction
 from .energy.membrane import Membrane
 from .material import Fabric
@@ -22,6 +23,8 @@ from .measure import EdgePoint
 
 FloatArray = np.ndarray
 COLLAPSE = np.radians(85.0)
+MOST_TILT = 10.0  # degrees
+Unfolding = tuple[Blank, np.ndarray, FloatArray, np.ndarray, FloatArray]
 
 
 @dataclass
@@ -66,11 +69,16 @@ class Scene:
     measures : dict
         Functions of x whose values go into `history` (name: function).
     areas : dict of name to (centre, radius)
-        Discs of the flat blank over which the shear angle is averaged, mm.
+        Discs of the flat blank over which the shear angle is averaged, mm, in the user's axes.
     edges : dict of direction to EdgePoint
-        Where the draw-in is measured.
+        Where the draw-in is measured, on the whole sheet in the user's axes.
     coarser : callable, optional
         Builds the same scene at twice the size, for the error estimate.
+    turn : float
+        Angle of the model's x axis to the user's, degrees: where mirror planes are used they are
+        the model's coordinate planes. Results are given in the user's axes.
+    outputs : dict
+        `pictures` and `increments`: whether these files are written by default.
     """
 
     name: str
@@ -94,6 +102,8 @@ class Scene:
     areas: dict[str, tuple[tuple[float, float], float]] = field(default_factory=dict)
     edges: dict[str, EdgePoint] = field(default_factory=dict)
     coarser: Callable[[], Scene] | None = None
+    turn: float = 0.0
+    outputs: dict[str, bool] = field(default_factory=lambda: {"pictures": True, "increments": True})
 
     def prescribed(self, travel: float) -> tuple[FloatArray, FloatArray]:
         """Positions of the prescribed degrees of freedom at a travel, and their rate; (n_dofs,)."""
@@ -117,10 +127,41 @@ class Scene:
         worst = np.where(bad, gamma, -1.0).argmax()
         return {
             "travel_mm": travel,
-            "at": self.blank.centroids[worst].tolist(),
+            "at": self.to_user(self.blank.centroids[worst]).tolist(),
             "shear_angle_deg": float(np.degrees(gamma[worst])),
             "triangles": int(bad.sum()),
         }
+
+    def lost(self, x: FloatArray) -> str:
+        """Why a free tool no longer rests safely on the sheet, in words; empty if it does."""
+        for contact in self.contacts:
+            tool = contact.tool
+            if not tool.tilts:
+                continue
+            tilt = np.degrees(np.abs(x[contact.tool_dofs[1:]]).max() / LEVER)
+            if tilt > MOST_TILT:
+                return f"the {tool.name} tilts by more than {MOST_TILT:g} degrees"
+            if not contact.surrounds(x, self.blank.mirror):
+                return f"the sheet no longer surrounds the weight of the {tool.name}"
+        return ""
+
+    @cached_property
+    def whole(self) -> Unfolding:
+        """The whole sheet in the user's axes (mirrored where a part is modelled)."""
+        unfolding = self.blank.unfolded()
+        return (unfolding[0].turned(self.turn), *unfolding[1:])
+
+    def whole_positions(self, x: FloatArray) -> FloatArray:
+        """(n_nodes, 3) positions of the whole sheet in the user's axes, mm."""
+        _, source, sign, _, _ = self.whole
+        part = self.positions(x)
+        whole = np.pad(part, ((0, 0), (0, 3 - part.shape[1])))[source] * sign
+        whole[:, :2] = self.to_user(whole[:, :2])
+        return whole
+
+    def to_user(self, points: FloatArray) -> FloatArray:
+        """Turn (..., 2) flat points of the model into the user's axes."""
+        return points @ rotation(self.turn).T
 
     @property
     def membrane(self) -> Membrane:
@@ -129,7 +170,7 @@ class Scene:
 
     @property
     def contacts(self) -> list[Contact]:
-        """The contact terms, in the order of the tools."""
+        """The contact terms."""
         return [term for term in self.terms if isinstance(term, Contact)]
 
     @property

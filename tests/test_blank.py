@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+import shapely
 from numpy.testing import assert_allclose, assert_array_equal
 
-from quasiform.blank import rectangle, rotation
+from quasiform import outline as outlines
+from quasiform.blank import Blank, cut, rectangle, rotation
 from quasiform.checks import InputError
 from quasiform.energy.membrane import Membrane
 from quasiform.material import Fabric
@@ -279,3 +281,285 @@ def test_no_cut_leaves_a_degenerate_triangle(size):
         missing = LENGTH * WIDTH - blank.areas.sum()
         assert abs(missing) < 2 * (LENGTH + WIDTH) * slack, f"{angle} degrees"
         assert fibre_legs(blank, tolerance=1e-3).min() >= 1, f"{angle} degrees"
+
+
+# Blanks of any outline
+
+
+def plate(rng):
+    """A rectangle with three round holes."""
+    holes = [
+        outlines.disc(rng.uniform(6, 13), rng.uniform(-3, 3, 2) + place)
+        for place in ((-30, -10), (25, 12), (42, -28))
+    ]
+    return outlines.with_holes(outlines.rectangle(140.0, 100.0), holes)
+
+
+def flower(rng):
+    angle = np.radians(np.arange(0.0, 360.0, 0.5))
+    r = 60.0 * (
+        1 + rng.uniform(0.05, 0.35) * np.cos(rng.integers(2, 7) * angle + rng.uniform(0, 6))
+    )
+    return outlines.polygon(r[:, None] * np.column_stack([np.cos(angle), np.sin(angle)]))
+
+
+def star(rng):
+    angle = 2 * np.pi * (np.arange(9) + rng.uniform(-0.2, 0.2, 9)) / 9
+    r = rng.uniform(40, 90, 9)
+    return outlines.polygon(r[:, None] * np.column_stack([np.cos(angle), np.sin(angle)]))
+
+
+def ell(rng):
+    return outlines.polygon([(0, 0), (100, 0), (100, 40), (45, 40), (45, 90), (0, 90)])
+
+
+def pocket(rng):
+    """A rectangle with a bay, all corners round."""
+    bay = shapely.box(-70, -50, 70, 50).difference(shapely.box(-20, 0, 15, 60))
+    return bay.buffer(-8.0).buffer(16.0).buffer(-8.0)
+
+
+OUTLINES = {
+    "disc": lambda rng: outlines.disc(rng.uniform(30, 80), rng.uniform(-5, 5, 2)),
+    "rectangle": lambda rng: outlines.rectangle(160.0, 80.0),
+    "plate": plate,
+    "flower": flower,
+    "star": star,
+    "ell": ell,
+    "pocket": pocket,
+}
+ANGLES = [0.0, 45.0, 90.0, 30.0, 44.9, 44.99, 0.01, -17.3, 61.2]
+
+
+def shape_of(blank):
+    """The boundary of a blank as a polygon with holes."""
+    outer, *holes = (blank.nodes[loop] for loop in blank.outline)
+    return shapely.Polygon(outer, holes)
+
+
+def smallest_angle(blank):
+    corners = blank.nodes[blank.triangles]
+    u, v = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
+    cosine = (u * v).sum(-1) / np.linalg.norm(u, axis=-1) / np.linalg.norm(v, axis=-1)
+    return np.degrees(np.arccos(cosine.max()))
+
+
+def check_mesh(blank, outline, size):
+    """Tiling, connection, no slivers, an outline off by a tenth at most, legs on fibres."""
+    assert (signed_areas(blank) > 0).all()
+    assert_array_equal(np.unique(blank.triangles), np.arange(len(blank.nodes)))
+    shape = shape_of(blank)
+    # the outline of connected triangles that neither overlap nor leave gaps
+    assert shape.is_valid
+    assert shape.area == pytest.approx(blank.areas.sum(), rel=1e-10)
+    edges = len(blank.mesh.facets.T)
+    assert len(blank.nodes) - edges + len(blank.triangles) == 1 - len(outline.interiors)
+    assert len(shape.interiors) == len(outline.interiors)
+    assert shapely.hausdorff_distance(shape.boundary, outline.boundary) < 0.1 * size
+    assert abs(shape.area - outline.area) < 0.05 * size * outline.length
+    assert smallest_angle(blank) > 2.5
+    assert blank.node_areas.min() > 8e-4 * size**2
+    rim = np.zeros(len(blank.nodes), dtype=bool)
+    rim[np.concatenate(blank.outline)] = True
+    assert_array_equal(fibre_legs(blank, 1e-10)[~rim[blank.triangles].any(1)], 2)
+
+
+@pytest.mark.parametrize("name", OUTLINES)
+def test_cut_blanks_are_sound(name):
+    rng = np.random.default_rng(list(OUTLINES).index(name))
+    for angle in ANGLES:
+        for size in (10.0, 6.3, 4.1):
+            outline = OUTLINES[name](rng)
+            check_mesh(cut(outline, size, angle), outline, size)
+
+
+@pytest.mark.parametrize("angle", [30.0, 37.5, 20.0, 52.25, -11.0])
+def test_cells_cut_by_a_fitted_outline_keep_a_right_corner(angle):
+    blank = cut(outlines.rectangle(160.0, 80.0), 5.0, angle)
+    assert (np.bincount(cells(blank), fibre_legs(blank) == 2) >= 1).all()
+
+
+@pytest.mark.parametrize("orientation", [0.0, 45.0, 90.0, -45.0])
+def test_a_cut_rectangle_is_the_rectangle(orientation):
+    through = ((0.0, 0.0),)
+    for mirror in ((), ("x", "y")) if orientation % 90 == 0 else ((),):
+        direct = rectangle(100.0, 100.0, 7.0, orientation, through=through, mirror=mirror)
+        blank = cut(outlines.rectangle(100.0, 100.0), 7.0, orientation, through, mirror)
+        assert triangle_set(blank.nodes, blank.triangles) == triangle_set(
+            direct.nodes, direct.triangles
+        )
+
+
+def test_lines_run_through_corners_extremes_and_points_asked_for():
+    shape = outlines.with_holes(
+        ell(None), [outlines.disc(9.0, (25.0, 21.0)), outlines.disc(6.0, (71.0, 17.0))]
+    )
+    blank = cut(shape, 5.0, through=((31.0, 63.0),))
+    points = [(31, 63), *ell(None).exterior.coords, (34, 21), (25, 30), (65, 17), (71, 11)]
+    for point in points:
+        assert np.linalg.norm(blank.nodes - point, axis=1).min() < 1e-9
+    disc = cut(outlines.disc(50.0), 6.0, orientation=30.0)
+    for angle in (30, 120, 210, 300):
+        at = 50.0 * rotation(angle)[:, 0]
+        assert np.linalg.norm(disc.nodes - at, axis=1).min() < 1e-9
+
+
+def test_lines_of_near_corners_are_shared():
+    """Steps of a twentieth and a third of the spacing make no strips of narrow cells."""
+    steps = [(0, 0), (60, 0), (60, 40), (30, 40), (30, 39.5), (26.7, 39.5), (26.7, 36.2), (0, 36.2)]
+    outline = outlines.polygon(steps)
+    blank = cut(outline, 10.0)
+    for family in ("warp", "weft"):
+        line = blank.fibre_lines(family)
+        across = blank.nodes[line.t[0]] @ (blank.weft if family == "warp" else blank.warp)
+        inner = np.unique(across.round(6))
+        assert np.diff(inner).min() > 3.0
+    check_mesh(blank, outline, 10.0)
+
+
+@pytest.mark.parametrize("size", [10.0, 7.0, 5.0])
+@pytest.mark.parametrize("mirror", [("x", "y"), ("x",), ("y",), ()])
+def test_a_square_turned_by_45_degrees_is_made_of_diagonals(size, mirror):
+    """The quarter is a triangle whose long side runs along the diagonals of the cells."""
+    diamond = shapely.affinity.rotate(outlines.rectangle(310.0, 310.0), 45.0)
+    blank = cut(diamond, size, through=((0.0, 0.0),), mirror=mirror)
+    assert_array_equal(fibre_legs(blank), 2)
+    assert smallest_angle(blank) == pytest.approx(45.0)
+    whole = blank.unfolded()[0]
+    assert_allclose(whole.areas.sum(), 310.0**2)
+    assert shape_of(whole).symmetric_difference(diamond).area < 1e-6
+    # alternating up to the outline: four or eight triangles inside, four or one on it
+    meeting = np.bincount(whole.triangles.ravel())
+    rim = np.isin(np.arange(len(whole.nodes)), whole.outline[0])
+    assert set(meeting[~rim]) == {4, 8}
+    assert set(meeting[rim]) <= {1, 2, 4}
+
+
+SYMMETRIC = {
+    "disc": outlines.disc(50.0),
+    "plate": outlines.with_holes(
+        outlines.rectangle(140.0, 100.0),
+        [outlines.disc(8.0, (x, y)) for x in (-40, 40) for y in (-22, 22)]
+        + [outlines.disc(11.0), outlines.disc(6.0, (0.0, 31.0)), outlines.disc(6.0, (0.0, -31.0))],
+    ),
+    "cross": shapely.box(-60, -21, 60, 21).union(shapely.box(-17, -50, 17, 50)),
+}
+
+
+@pytest.mark.parametrize("name", SYMMETRIC)
+@pytest.mark.parametrize("mirror", [("x", "y"), ("x",), ("y",)])
+def test_a_mirrored_part_unfolds_to_the_whole(name, mirror):
+    outline = SYMMETRIC[name]
+    for orientation, size in ((0.0, 6.0), (90.0, 9.0), (180.0, 4.3)):
+        part = cut(outline, size, orientation, mirror=mirror)
+        for plane in mirror:
+            x = part.nodes[:, "xy".index(plane)]
+            assert ((x == 0) | (x > 0.01 * size)).all()
+        whole, source, sign, *_ = part.unfolded()
+        assert_allclose(whole.nodes, part.nodes[source] * sign[:, :2], atol=1e-12)
+        check_mesh(whole, outline, size)
+
+
+def test_unfolding_mirrors_pairs_too():
+    part = rectangle(40.0, 40.0, 10.0, mirror=("x", "y"))
+    pairs = np.arange(len(part.triangles)).reshape(-1, 2)
+    part = Blank(part.nodes, part.triangles, part.warp, part.weft, part.mirror, pairs)
+    whole, *_, triangle_source, _ = part.unfolded()
+    assert_array_equal(np.sort(whole.pairs.ravel()), np.arange(len(whole.triangles)))
+    assert_array_equal(triangle_source[whole.pairs], np.tile(pairs, (4, 1)))
+
+
+def test_outline_of_a_plate_with_holes():
+    shape = outlines.with_holes(outlines.rectangle(60.0, 40.0), [outlines.rectangle(20.0, 10.0)])
+    blank = cut(shape, 5.0)
+    outer, hole = blank.outline
+    for loop in (outer, hole):
+        assert loop[0] == loop[-1]
+        assert len(np.unique(loop)) == len(loop) - 1
+    assert shapely.LinearRing(blank.nodes[outer]).is_ccw
+    assert not shapely.LinearRing(blank.nodes[hole]).is_ccw
+    assert shapely.Polygon(blank.nodes[outer]).equals(outlines.rectangle(60.0, 40.0))
+    assert shapely.Polygon(blank.nodes[hole]).equals(outlines.rectangle(20.0, 10.0))
+    part = cut(shape, 5.0, mirror=("x", "y"))
+    assert len(part.outline) == 1
+    assert shape_of(part).equals(shapely.box(0, 0, 30, 20).difference(shapely.box(0, 0, 10, 5)))
+    assert shape_of(part.unfolded()[0]).equals(shape)
+
+
+def test_crumbs_too_small_for_the_size_are_left_out():
+    box = outlines.rectangle(60.0, 40.0)
+    pinhole = outlines.with_holes(box, [outlines.disc(0.2, (3.3, 7.1))])
+    assert len(cut(pinhole, 5.0, 20.0).outline) == 1
+    thorn = box.union(shapely.Polygon([(-10, 20), (10, 20), (0, 20.2)]))
+    assert len(cut(thorn, 5.0).triangles) == len(cut(box, 5.0, through=((0, 0),)).triangles)
+
+
+@pytest.mark.parametrize(("tip", "angle"), [(22.5, 0.0), (1.5, 0.0), (20.0, 15.0)])
+def test_slits(tip, angle):
+    """A slit along a line that is too narrow closes; a wider one crosses every leg twice."""
+    box = outlines.rectangle(60.0, 40.0, centre=(30.0, 20.0))
+    narrow = box.difference(shapely.box(tip, 19.9, 61, 20.1))
+    if angle == 0:
+        closed = cut(narrow, 5.0, through=((21.0, 20.0),))
+        assert_array_equal(fibre_legs(closed), 2)
+        check_mesh(closed, box, 5.0)
+    wide = box.difference(shapely.box(tip, 19.4, 61, 20.6))
+    check_mesh(cut(wide, 5.0, angle, through=((21.0, 7.0),)), wide, 5.0)
+
+
+def test_a_mirror_plane_is_a_line_whatever_else_is_asked_for():
+    part = cut(BOX, 5.0, through=((0.2, 0.3),), mirror=("x", "y"))
+    check_mesh(part.unfolded()[0], BOX, 5.0)
+
+
+BOX = outlines.rectangle(60.0, 40.0)
+REFUSED = {
+    "two parts": (lambda: cut(shapely.MultiPolygon([BOX]), 5.0), "got a MultiPolygon"),
+    "crossing": (
+        lambda: cut(shapely.Polygon([(0, 0), (9, 9), (9, 0), (0, 9)]), 5.0),
+        "must be one valid polygon",
+    ),
+    "no number": (lambda: cut(BOX, 5.0, float("nan")), "orientation must be a number of degrees"),
+    "size": (lambda: cut(BOX, 0.0), "size must be a positive number"),
+    "too fine": (lambda: cut(BOX, 0.02), r"size 0.02 mm on 60 x 40 mm makes more than"),
+    "mirror and angle": (lambda: cut(BOX, 5.0, 30.0, mirror=("x",)), "fibres along x and y"),
+    "not symmetric": (lambda: cut(ell(None), 5.0, mirror=("y",)), "not symmetric to y = 0: leave"),
+    "neck": (
+        lambda: cut(
+            shapely.union_all(
+                [
+                    shapely.box(-30, -20, -5, 20),
+                    shapely.box(5, -20, 30, 20),
+                    shapely.box(-6, -0.1, 6, 0.1),
+                ]
+            ),
+            5.0,
+            through=((0, 0),),
+        ),
+        r"size 5 mm is too large for the outline near",
+    ),
+    "hole at the edge": (
+        lambda: cut(BOX.difference(outlines.disc(9.0, (0.0, -10.9))), 5.0),
+        r"size 5 mm is too large for the outline near \(0, -20\)",
+    ),
+    "slit": (
+        lambda: cut(BOX.difference(shapely.box(-20, 3, 20, 3.2)), 5.0),
+        "hole 1, 40 mm long, is too narrow",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_cannot_be_cut_is_refused(case):
+    make, message = REFUSED[case]
+    with pytest.raises(InputError, match=message):
+        make()
+
+
+@pytest.mark.parametrize("orientation", [0.01, 44.99, 44.9])
+def test_corners_that_just_miss_a_line_share_it(orientation):
+    """No strip of cells a hundredth of the spacing wide beside the middle of a square."""
+    blank = rectangle(100.0, 100.0, 10.0, orientation, through=((0.0, 0.0),))
+    assert smallest_angle(blank) > 35.0
+    assert_allclose(blank.areas.sum(), 1e4, rtol=1e-3)
+    assert_array_equal(fibre_legs(blank), 2)

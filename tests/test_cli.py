@@ -15,23 +15,28 @@ import meshio
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.spatial import ConvexHull
 
 import quasiform as qf
-from quasiform import cli, geometry, plot
+from quasiform import cli, plot, scene_file
 from quasiform.cli import main
 from quasiform.progress import LiveProgress, progress
 
 ROOT = Path(__file__).parents[1]
 OAT = ["oat", "--size", "40", "--displacement", "5"]
 FORM = ["form", "hemisphere", "--size", "38", "--travel", "5"]
-FILES = set("summary.json history.csv result.vtu result.pvd shear_angle.png history.png".split())
-FIELDS = set("shear_angle warp weft E11 E22 S12 contact_pressure displacement".split())
+PICTURES = {"shear_angle.png", "history.png", "doubt.png"}
+FILES = set("summary.json history.csv outline.csv result.vtu result.pvd".split()) | PICTURES
+FIELDS = set(
+    "shear_angle warp weft E11 E22 S12 shear_stability doubt contact_pressure displacement".split()
+)
 KEYS = set(
     "case version parameters status reached_mm reason wall_s linear_solves increments nodes "
-    "triangles dofs model force_N shear_angle_deg error_estimate equilibrium".split()
+    "triangles dofs model force_N shear_angle_deg error_estimate equilibrium doubtful_share".split()
 )
 FORM_KEYS = KEYS | set(
-    "draw_in_mm areas max_penetration_mm fibre_strain_max collapse rescues certified".split()
+    "draw_in_mm areas max_penetration_mm chord_penetration_mm fibre_strain_max collapse rescues "
+    "certified resting_tools wrinkles".split()
 )
 OAT_COLUMNS = (
     "displacement_mm force_N shear_angle_center_deg shear_angle_max_deg E11_center E22_center "
@@ -157,19 +162,28 @@ def test_a_wrong_law_file_is_refused(capsys, here, text, words):
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("[punch]", "[punch]\nradios = 1", ["[punch]", "unknown key 'radios'", "'radius'?"]),
+        (
+            "[tools.punch]",
+            "[tools.punch]\nradios = 1",
+            ["[tools.punch]", "unknown key 'radios'", "'radius'?"],
+        ),
         ("[areas]", "[aeras]", ["unknown key 'aeras'", "did you mean 'areas'?"]),
-        ("value = 5.0", "value = -5.0", ["holder.mass must be a positive number", "-5.0"]),
-        ("value = 5.0", "value = nan", ["holder.mass must be a positive number", "nan"]),
-        ("value = 5.0", "valeu = 5.0", ["[holder.mass]", "unknown key 'valeu'", "'value'?"]),
-        ('"kg", standing = "assumed"', '"kg", standing = "sure"', ["holder.mass", "'sure'"]),
+        ("value = 5.0", "value = -5.0", ["tools.holder.mass must be", "-5.0"]),
+        ("value = 5.0", "value = nan", ["tools.holder.mass must be", "nan"]),
+        ("value = 5.0", "valeu = 5.0", ["[tools.holder.mass]", "unknown key 'valeu'", "'value'?"]),
+        ('"kg", standing = "assumed"', '"kg", standing = "sure"', ["tools.holder.mass", "'sure'"]),
+        ('"round punch"', '"round bunch"', ["[tools.punch]", "did you mean 'round punch'?"]),
+        ("value = 310.0", "value = 100.0", ["does not reach under the blank holder"]),
+        ("value = 80.0", "value = 60.0", ["punch and die leave 0.00 mm"]),
     ],
 )
-def test_a_wrong_geometry_file_is_refused(capsys, old, new, words):
-    text = (geometry.FOLDER / "hemisphere.toml").read_text(encoding="utf-8")
+def test_a_wrong_scene_file_is_refused(capsys, old, new, words):
+    text = (scene_file.FOLDER / "hemisphere.toml").read_text(encoding="utf-8")
     assert old in text
     Path("mine.toml").write_text(text.replace(old, new), encoding="utf-8")
-    assert_refused(capsys, ["form", "mine.toml"], "mine.toml: ", *words)
+    about_the_file = not any("leave" in word or "reach" in word for word in words)
+    argv = ["form", "mine.toml", "--size", "12"]
+    assert_refused(capsys, argv, *["mine.toml: "] * about_the_file, *words)
 
 
 @pytest.mark.usefixtures("unsolved")
@@ -205,6 +219,23 @@ def test_a_model_too_large_for_the_memory_is_refused(capsys, monkeypatch):
     [
         (OAT, ["oat-45: 77 nodes, 128 triangles, 134 dofs", "bending left out: no curvature"]),
         (FORM, ["hemisphere-0: 25 nodes, 32 triangles", "a quarter: ", "weight of the sheet left"]),
+        (
+            "form box --size 20".split(),
+            [
+                "box-0: 81 nodes, 128 triangles",
+                "travel 50 mm",
+                "a quarter: ",
+                "nodes and mid-edges",
+            ],
+        ),
+        (
+            "form tetrahedron --size 30".split(),
+            ["tetrahedron-0: ", "travel 80 mm", "a half: ", "at the plane along the warp;"],
+        ),
+        (
+            "form tetrahedron --size 30 --orientation 45".split(),
+            ["tetrahedron-45: ", "the whole blank: no plane along the fibres mirrors it"],
+        ),
         ([*FORM, "--symmetry", "none"], ["81 nodes, 128 triangles", "symmetry is switched off"]),
         ([*FORM, "--law", "best-fit"], ["fabric: MD600 best-fit"]),
     ],
@@ -223,6 +254,11 @@ def assert_complete(folder, keys, columns):
     names = set(contents(folder))
     increments = sorted(name for name in names if name.startswith("increment_"))
     assert names == FILES | set(increments)
+    with (folder / "outline.csv").open(encoding="utf-8", newline="") as file:
+        header, *rows = csv.reader(file)
+    assert header == ["loop", "x_mm", "y_mm", "z_mm"]
+    assert rows[0] == rows[-1]
+    assert len(rows) > 8
 
     summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
     assert keys - set(summary) == set()
@@ -255,7 +291,7 @@ def assert_complete(folder, keys, columns):
     assert_allclose(np.abs(gamma).max(), summary["shear_angle_deg"]["max"])
     for family in ("warp", "weft"):
         assert_allclose(np.linalg.norm(mesh.cell_data[family][0], axis=1), 1.0)
-    for picture in ("shear_angle.png", "history.png"):
+    for picture in PICTURES:
         assert (folder / picture).read_bytes().startswith(b"\x89PNG")
     return summary, mesh
 
@@ -319,6 +355,7 @@ def test_options_reach_the_scene_and_the_solver(here, monkeypatch):
     assert oat.parameters == {
         **{"angle": 50, "length": 300, "width": 120, "displacement": 7, "size": 60},
         "law": "mine",
+        "mesh": "fibre",
     }
     assert oat_solver == [3, "superlu"]
     assert (
@@ -329,6 +366,88 @@ def test_options_reach_the_scene_and_the_solver(here, monkeypatch):
         }.items()
     )
     assert form_solver == [None, "auto"]
+
+
+MINE = """\
+name = "my tool"
+travel = 2.0
+law = "best-fit"
+symmetry = "none"
+
+[blank]
+shape = "disc"
+radius = 150.0
+orientation = 90.0
+size = 37.0
+
+[tools.punch]
+shape = "round punch"
+radius = 75.0
+
+[tools.die]
+shape = "round opening"
+radius = 80.0
+fillet = 10.0
+
+[tools.holder]
+shape = "round opening"
+radius = 80.0
+fillet = 10.0
+mass = 5.0
+
+[increments]
+largest = 1.0
+rows = 1.0
+
+[outputs]
+pictures = false
+increments = false
+"""
+
+
+def test_what_the_command_leaves_out_is_taken_from_the_file(monkeypatch):
+    scenes = []
+
+    def solve(scene, *arguments, **named):
+        scenes.append(scene)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(cli, "solve", solve)
+    Path("mine.toml").write_text(MINE, encoding="utf-8")
+    assert main(["form", "mine.toml"]) == 3
+    given = "--orientation 0 --law locking --size 30 --travel 1 --symmetry auto"
+    assert main(["form", "mine.toml", *given.split()]) == 3
+    file, line = scenes
+    told = [
+        [scene.parameters[key] for key in ("orientation", "law", "size", "travel", "symmetry")]
+        for scene in scenes
+    ]
+    assert told[0] == [90.0, "MD600 best-fit", 37.0, 2.0, "none"]
+    assert told[1] == [0.0, "MD600 locking", 30.0, 1.0, "auto"]
+    assert (file.blank.mirror, line.blank.mirror) == ((), ("x", "y"))
+    assert file.parameters["scene"] == "mine.toml"
+
+
+def test_a_file_says_which_outputs_it_wants(capsys, here):
+    Path("mine.toml").write_text(MINE, encoding="utf-8")
+    assert main(["form", "mine.toml"]) == 0
+    out, _ = capsys.readouterr()
+    assert out.startswith("writing to my-tool-90\n")
+    assert set(contents(here / "my-tool-90")) == FILES - PICTURES
+    assert "increment_" not in Path("my-tool-90/result.pvd").read_text(encoding="utf-8")
+    with Path("my-tool-90/history.csv").open(encoding="utf-8", newline="") as file:
+        history = list(csv.DictReader(file))
+    assert [float(row["travel_mm"]) for row in history] == [0.0, 1.0, 2.0]
+    summary = json.loads(Path("my-tool-90/summary.json").read_text(encoding="utf-8"))
+    assert set(summary["draw_in_mm"]) == {"+x", "-x", "+y", "-y"}
+    assert "tilt_deg" in summary["resting_tools"]["blank holder"]
+
+
+def test_only_files_that_were_written_are_told(capsys, here):
+    Path("mine.toml").write_text(MINE, encoding="utf-8")
+    assert main(["form", "mine.toml", "--out", "out"]) == 0
+    (told,) = re.findall(r"files in out: (.*)", capsys.readouterr().out)
+    assert {name for name in FILES if name in told} == set(contents(here / "out"))
 
 
 def test_an_existing_result_is_refused_and_stays(capsys, here):
@@ -523,7 +642,23 @@ def blocks(language):
 
 
 @pytest.mark.usefixtures("unsolved")
-def test_the_commands_of_the_readme_are_accepted(capsys):
+def test_the_commands_of_the_readme_are_accepted(capsys, here):
+    pytest.importorskip("igl")
+    (part,) = blocks("toml")
+    (here / "my-part.toml").write_text(part, encoding="utf-8")
+    a, z = np.radians(np.arange(0, 360, 10)), np.radians(np.arange(-80, 81, 10))
+    ring = np.stack(
+        np.broadcast_arrays(
+            np.cos(a) * np.cos(z[:, None]), np.sin(a) * np.cos(z[:, None]), np.sin(z)[:, None]
+        ),
+        axis=-1,
+    )
+    ball = ConvexHull(np.vstack([ring.reshape(-1, 3), [[0, 0, 1], [0, 0, -1]]]))
+    turned = np.linalg.det(ball.points[ball.simplices]) < 0
+    ball.simplices[turned] = ball.simplices[turned][:, ::-1]
+    meshio.write(
+        here / "punch.stl", meshio.Mesh(50.0 * ball.points, [("triangle", ball.simplices)])
+    )
     lines = [line for block in blocks("sh") for line in block.splitlines()]
     commands = [
         match[1] for line in lines if (match := re.search(r"\bquasiform ((oat|form).*)", line))

@@ -4,6 +4,7 @@ A term is tested by being listed in `FREE`, `ON_TOOLS` or `HELD`.
 """
 
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -12,14 +13,28 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 from quasiform.blank import rectangle
-from quasiform.energy import Potential
+from quasiform.energy import Potential, Selective
 from quasiform.energy.bending import Bending
-from quasiform.energy.contact import BLEND, Contact
+from quasiform.energy.contact import BLEND, FAR_OFF, LEVER, SAG, Contact, at_edges, at_nodes
 from quasiform.energy.friction import STICK, Friction
+from quasiform.energy.gripper import Grip
 from quasiform.energy.membrane import Membrane
 from quasiform.energy.weight import GRAVITY, SheetWeight, ToolWeight
 from quasiform.material import Fabric, ThreeStageLaw
-from quasiform.tool import Cylinder, Flipped, Plane, RoundOpening, RoundPunch, Sphere, Tool
+from quasiform.tool import (
+    Placed,
+    Plane,
+    Tool,
+    ball,
+    bar,
+    box_punch,
+    flipped,
+    opening,
+    regular_polygon,
+    round_opening,
+    round_punch,
+    tetrahedron_punch,
+)
 
 MU = 0.157
 # fibres so soft that the shear stiffness shows beside theirs, and all four laws different
@@ -34,12 +49,33 @@ FABRIC = replace(
 STIFF = Fabric.preset("locking")
 SHAPES = {
     "plane": Plane(),
-    "sphere": Sphere(30.0),
-    "cylinder": Cylinder(20.0),
-    "punch": RoundPunch(25.0),
-    "opening": RoundOpening(30.0, 8.0),
-    "holder": Flipped(RoundOpening(30.0, 8.0)),
+    "sphere": ball(30.0),
+    "cylinder": bar(20.0),
+    "punch": round_punch(25.0),
+    "opening": round_opening(30.0, 8.0),
+    "holder": flipped(round_opening(30.0, 8.0)),
+    "box punch": box_punch(50.0, 40.0, 6.0),
+    "tetrahedron": tetrahedron_punch(80.0, 60.0, 8.0, 20.0),
+    "box opening": opening([[-30, -20], [30, -20], [30, 20], [-30, 20]], 12.0, 6.0),
+    "triangle holder": flipped(opening(regular_polygon(3, 80.0, 20.0), 15.0, 7.0)),
+    "placed": Placed(
+        tetrahedron_punch(80.0, 60.0, 8.0),
+        Rotation.from_rotvec([0.4, -0.7, 1.0]).as_matrix(),
+        (5.0, -3.0, 2.0),
+    ),
 }
+# turns (degrees) and motions along which a tool does not change; any turn if it is not listed
+SYMMETRIES = {
+    "cylinder": (0.0, (0.0, 11.0, 4.0)),
+    "box punch": (180.0, (0.0, 0.0, 4.0)),
+    "tetrahedron": (120.0, (0.0, 0.0, 4.0)),
+    "box opening": (180.0, (0.0, 0.0, 4.0)),
+    "triangle holder": (120.0, (0.0, 0.0, 4.0)),
+    "placed": (0.0, (0.0, 0.0, 4.0)),
+}
+TILTING = ["sphere", "punch", "holder", "tetrahedron", "triangle holder"]
+BETWEEN = ["plane", "cylinder", "opening", "box punch", "placed"]
+DOME = Placed(ball(100.0), np.eye(3), (0.0, 0.0, -90.0))
 BLANKS = {
     "aligned": rectangle(40.0, 30.0, 8.0),
     "cut": rectangle(40.0, 30.0, 8.0, orientation=30.0),
@@ -72,16 +108,48 @@ def deformed(blank, dim=3, seed=0):
     return (blank.nodes @ F.T + rng.uniform(-0.7, 0.7, (len(blank.nodes), dim))).ravel()
 
 
-def touching(contact, shape, deepest=0.3, seed=0):
-    """Nodes strewn over the whole surface of a tool, from clear of it to `deepest` inside."""
-    rng = np.random.default_rng(seed)
-    n = len(contact.area)
-    points = rng.uniform(-50.0, 50.0, (200 * n, 3))
+def in_pieces(blank):
+    """Triangles that share no nodes, so that the middles of all edges can be chosen."""
+    nodes = blank.nodes[blank.triangles].reshape(-1, 2)
+    return replace(blank, nodes=nodes, triangles=np.arange(len(nodes)).reshape(-1, 3))
+
+
+def with_points_at(contact, places, rigid):
+    """The state in which the points of the sheet are at `places` (m, 3): weights · x = places."""
+    points, n = contact.points, len(contact.blank.nodes)
+    x = np.empty((n, 3))
+    for c in range(3):
+        W = np.zeros((n, n))
+        np.add.at(W, (np.arange(n)[:, None], points.nodes), points.weights[:, :, c])
+        x[:, c] = np.linalg.solve(W, places[:, c])
+    return np.append(x.ravel(), rigid)
+
+
+def turn_of(tilts):
+    """(3, 3) turn of a tilting tool, Rx(a/L) Ry(b/L)."""
+    return Rotation.from_euler("XY", np.divide(tilts, LEVER)).as_matrix()
+
+
+@cache
+def around(shape, n):
+    """Places (n, 3) near a tool, with their distance and normal."""
+    points = np.random.default_rng(0).uniform(-50.0, 50.0, (60 * n, 3))
     d, normal, _ = shape.distance(points)
     near = (d > -5.0) & (d < 10.0) & (np.linalg.norm(points[:, :2], axis=1) > 5.0)
-    p = rng.uniform(-0.1, deepest, near.sum())
-    points = points[near] + (contact.offset - p - d[near])[:, None] * normal[near]
-    return np.append(points[:n].ravel(), 0.0)
+    near = np.flatnonzero(near)[:n]
+    return points[near], d[near], normal[near]
+
+
+def touching(contact, rigid=(0.0,), deepest=0.3):
+    """Points strewn over the whole surface of a tool, from clear of it to `deepest` inside."""
+    n = len(contact.area)
+    points, d, normal = around(contact.tool.shape, n)
+    p = np.random.default_rng(1).uniform(-0.1, deepest, n)
+    places = points + (contact.reach - p - d)[:, None] * normal
+    if contact.tool.tilts:
+        places = places @ turn_of(rigid[1:]).T
+    origin = np.array([*contact.tool.place, rigid[0]])
+    return with_points_at(contact, origin + places, rigid)
 
 
 def membrane(blank, dim, fabric=FABRIC):
@@ -95,18 +163,33 @@ def bending(blank, clamp=False):
     return Case(Bending(blank, FABRIC, clamped), deformed(blank))
 
 
-def contact(name):
-    blank, shape = BLANKS["aligned"], SHAPES[name]
-    term = Contact(blank, FABRIC, Tool("tool", shape, friction=MU), 3 * len(blank.nodes))
-    return Case(term, touching(term, shape), active=0.5)
+def contact(name, sort="at nodes", tilts=False):
+    """With a tool that tilts, it has tilted already and stands beside the z axis."""
+    blank = BLANKS["aligned"] if sort == "at nodes" else in_pieces(BLANKS["aligned"])
+    tool = Tool("tool", SHAPES[name], friction=MU)
+    rigid = [0.0]
+    if tilts:
+        tool = replace(tool, motion="free", mass=1.0, place=(4.0, -7.0), tilts=True)
+        rigid = [3.0, 12.0, -9.0]
+    points = at_nodes(blank) if sort == "at nodes" else at_edges(blank)
+    term = Contact(blank, FABRIC, tool, 3 * len(blank.nodes), points)
+    return Case(term, touching(term, rigid), active=0.5)
 
 
-def friction(name):
-    """Anchored where the nodes touch, then moved about the limit of stick."""
-    normal = contact(name)
+def friction(name, sort="at nodes", tilts=False):
+    """Anchored where the points touch, then moved about the limit of stick."""
+    normal = contact(name, sort, tilts)
     term = Friction(normal.term, normal.x)
-    moved = normal.x + np.random.default_rng(1).uniform(-1.0, 1.0, len(normal.x))
+    moved = normal.x + np.random.default_rng(1).uniform(-6.0, 6.0, len(normal.x))
     return Case(term, moved, active=0.5)
+
+
+def gripper():
+    blank = BLANKS["aligned"]
+    nodes = np.flatnonzero(np.isclose(blank.nodes[:, 0], 20.0))
+    shares = blank.node_areas[nodes] / blank.node_areas[nodes].sum()
+    start = np.pad(blank.nodes[nodes], ((0, 0), (0, 1)))
+    return Case(Grip(nodes, shares, start, np.array([0.6, 0.0, 0.8]), 12.0, 3.0), deformed(blank))
 
 
 def sheet_weight():
@@ -128,15 +211,29 @@ FREE = {
     "bending": lambda: bending("aligned"),
     "bending, cut": lambda: bending("cut"),
 }
-ON_TOOLS = {
-    **{f"contact, {name}": lambda name=name: contact(name) for name in SHAPES},
-    **{f"friction, {name}": lambda name=name: friction(name) for name in SHAPES},
+SIMPLE = {
+    f"{term.__name__}, {name}": lambda term=term, name=name: term(name)
+    for term in (contact, friction)
+    for name in SHAPES
+}
+ON_TOOLS = SIMPLE | {
+    f"{term.__name__} {words}, {name}": (
+        lambda term=term, name=name, sort=sort, tilts=tilts: term(name, sort, tilts)
+    )
+    for term in (contact, friction)
+    for words, sort, tilts, names in (
+        ("between nodes", "between", False, BETWEEN),
+        ("with a tilting tool", "at nodes", True, TILTING),
+        ("between nodes with a tilting tool", "between", True, ["triangle holder"]),
+    )
+    for name in names
 }
 HELD = {
     "bending, clamped": lambda: bending("aligned", clamp=True),
     "bending, mirrored": lambda: bending("quarter"),
     "weight of the sheet": sheet_weight,
     "weight of a tool": tool_weight,
+    "gripper": gripper,
 }
 CASES = {**FREE, **ON_TOOLS, **HELD}
 
@@ -147,7 +244,7 @@ def case(request):
 
 
 def arrays(value):
-    """Every array that a term remembers."""
+    """Every array in a value."""
     if isinstance(value, np.ndarray):
         return [value]
     if isinstance(value, tuple):
@@ -156,7 +253,9 @@ def arrays(value):
 
 
 def memory(term):
-    return [array.copy() for value in vars(term).values() for array in arrays(value)]
+    """Every array that a term remembers, but for what it keeps of its last evaluation."""
+    kept = {name: value for name, value in vars(term).items() if name != "_last"}
+    return [array.copy() for value in kept.values() for array in arrays(value)]
 
 
 def along(f, x, d, h=1e-6):
@@ -249,25 +348,41 @@ def sheet_moved(x, Q, shift):
     return np.append((x[:-1].reshape(-1, 3) @ Q.T + shift).ravel(), x[-1] + shift[2])
 
 
-@pytest.mark.parametrize("make", ON_TOOLS.values(), ids=ON_TOOLS)
-def test_sheet_moving_with_the_tool_or_along_its_symmetry_costs_no_energy(make):
+@pytest.mark.parametrize("name", SIMPLE)
+def test_sheet_moving_with_the_tool_or_along_its_symmetry_costs_no_energy(name):
     """The anchors of friction are moved along: it is built anew from the moved start."""
-    case = make()
+    case = SIMPLE[name]()
     term = case.term
-    shape = getattr(term, "contact", term).tool.shape
-    Q, shift = Rotation.from_rotvec([0.0, 0.0, 1.3]).as_matrix(), np.array([0.0, 0.0, 4.0])
-    if isinstance(shape, Cylinder):
-        Q, shift = np.eye(3), np.array([0.0, 11.0, 4.0])
+    angle, shift = SYMMETRIES.get(name.split(", ")[1], (75.0, (0.0, 0.0, 4.0)))
+    Q = Rotation.from_euler("z", angle, degrees=True).as_matrix()
     if isinstance(term, Friction):
-        start = touching(term.contact, shape)
+        start = touching(term.contact)
         term = Friction(term.contact, sheet_moved(start, Q, shift))
     E, g = case.term.energy(case.x), case.term.gradient(case.x)
     moved = sheet_moved(case.x, Q, shift)
     assert_allclose(term.energy(moved), E, rtol=0, atol=1e-10 * E.max())
-    turned = np.column_stack([g[:, :3] @ Q.T, g[:, 3]])
+    nodal = (g[:, :-1].reshape(len(g), -1, 3) @ Q.T).reshape(len(g), -1)
+    turned = np.column_stack([nodal, g[:, -1]])
     assert_allclose(term.gradient(moved), turned, rtol=0, atol=1e-10 * np.abs(g).max())
     with_tool = sheet_moved(case.x, np.eye(3), np.array([0.0, 0.0, -3.0]))
     assert_allclose(case.term.energy(with_tool), E, rtol=0, atol=1e-10 * E.max())
+
+
+@pytest.mark.parametrize("name", [name for name in ON_TOOLS if "tilting" in name])
+def test_sheet_tilting_with_the_tool_costs_no_energy_and_turns_the_forces(name):
+    """Also with friction: its anchors ride with the tool."""
+    case = ON_TOOLS[name]()
+    term, x = case.term, case.x
+    tool = getattr(term, "contact", term).tool
+    new = np.array([-2.0, -15.0, 25.0])  # height and tilts
+    Q = turn_of(new[1:]) @ turn_of(x[-2:]).T
+    before, after = np.array([*tool.place, x[-3]]), np.array([*tool.place, new[0]])
+    moved = np.append(((x[:-3].reshape(-1, 3) - before) @ Q.T + after).ravel(), new)
+    E, g = term.energy(x), term.gradient(x)
+    assert_allclose(term.energy(moved), E, rtol=0, atol=1e-10 * E.max())
+    turned = (g[:, :-3].reshape(len(g), -1, 3) @ Q.T).reshape(len(g), -1)
+    scale = np.abs(g).max()
+    assert_allclose(term.gradient(moved)[:, :-3], turned, rtol=0, atol=1e-10 * scale)
 
 
 @pytest.mark.parametrize("dim", [2, 3])
@@ -289,8 +404,18 @@ def test_flat_sheet_is_at_rest(blank, dim):
         lambda blank: Membrane(blank, FABRIC, 3),
         lambda blank: Bending(blank, FABRIC),
         lambda blank: Contact(blank, FABRIC, Tool("plate", Plane()), 3 * len(blank.nodes)),
+        lambda blank: Contact(
+            blank, FABRIC, Tool("plate", Plane()), 3 * len(blank.nodes), at_edges(blank)
+        ),
+        lambda blank: Contact(blank, FABRIC, Tool("dome", DOME), 3 * len(blank.nodes)),
+        lambda blank: Contact(
+            blank, FABRIC, Tool("dome", DOME), 3 * len(blank.nodes), at_edges(blank)
+        ),
     ],
-    ids=["membrane", "bending", "contact"],
+    ids=[
+        *("membrane", "bending", "contact", "contact between nodes"),
+        *("contact with a dome", "contact with a dome between nodes"),
+    ],
 )
 def test_quarter_holds_a_quarter_of_the_energy(build):
     """Of a sheet deformed with the mirror planes of its blank."""
@@ -302,6 +427,25 @@ def test_quarter_holds_a_quarter_of_the_energy(build):
     quarter = build(part).energy(np.append(x, height)).sum()
     assert quarter > 0
     assert_allclose(build(whole).energy(np.append(x[source] * sign, height)).sum(), 4 * quarter)
+
+
+@pytest.mark.parametrize("points", [at_nodes, at_edges])
+def test_half_holds_half_of_the_force_and_moment_of_a_tool_that_tilts_in_its_plane(points):
+    part = rectangle(80.0, 60.0, 8.0, mirror=("y",))
+    whole, source, sign, _, _ = part.unfolded()
+    x = deformed(part).reshape(-1, 3)
+    x[np.isclose(part.nodes[:, 1], 0.0), 1] = 0.0
+    plate = Tool("plate", Plane(), motion="free", mass=1.0, place=(5.0, 0.0), tilts=True)
+    rigid = [1.5, 0.0, 2.0]
+    half, both = (
+        Contact(blank, FABRIC, plate, 3 * len(blank.nodes), points(blank))
+        .gradient(np.append(positions, rigid))[:, -3:]
+        .sum(0)
+        for blank, positions in ((part, x), (whole, x[source] * sign))
+    )
+    assert_allclose(both[[0, 2]], 2 * half[[0, 2]])
+    assert np.abs(half[[0, 2]]).min() > 1.0
+    assert abs(both[1]) < 1e-9 * np.abs(both).max()
 
 
 # The sum
@@ -341,6 +485,41 @@ def test_potential_sums_its_terms_over_shared_degrees_of_freedom():
     assert np.abs(slope).max() > 1e-3 * scale
     assert_allclose(load, slope, rtol=0, atol=1e-6 * scale)
     assert not potential.hessian(x, False)[1].any()
+
+
+class Whole:
+    """A term whose Hessian cannot be asked for some stencils only."""
+
+    def __init__(self, term):
+        self.name, self.dofs = term.name, term.dofs
+        self.energy, self.gradient = term.energy, term.gradient
+        self.hessian = lambda x, convex: term.hessian(x, convex)
+
+
+@pytest.mark.parametrize("convex", [True, False])
+@pytest.mark.parametrize("name", ON_TOOLS)
+def test_stencils_that_do_not_act_are_left_out_without_loss(name, convex):
+    """Assembled from the active stencils and from all of them, with the load of a motion."""
+    case = ON_TOOLS[name]()
+    term, x = case.term, case.x
+    assert isinstance(term, Selective)
+    assert not isinstance(Whole(term), Selective)
+    rows = term.active(x)
+    assert 0 < len(rows) < len(term.dofs)
+    left_out = np.setdiff1d(np.arange(len(term.dofs)), rows)
+    full = term.hessian(x, convex)
+    assert not full[left_out].any()
+    assert_array_equal(full[rows], term.hessian(x, convex, rows))
+    free = np.ones(len(x), dtype=bool)
+    free[[2, 7, 10, 11, len(x) - 1]] = False
+    motion = np.where(free, 0.0, directions(x, 1)[0])
+    motion[-1] = -0.3
+    chosen, whole = Potential([term], free), Potential([Whole(term)], free)
+    assert_array_equal(chosen.pattern.indices, whole.pattern.indices)
+    for a, b in zip(
+        chosen.hessian(x, convex, motion), whole.hessian(x, convex, motion), strict=True
+    ):
+        assert_allclose(a, b, rtol=0, atol=1e-13 * np.abs(b).max())
 
 
 # Membrane
@@ -578,6 +757,19 @@ def plate(p, mu=MU, tool_height=0.0):
     return term, x
 
 
+def together(term):
+    """(n_local, 4): the nodes of a point moved together, and the tool's height.
+
+    Forces times it are those on the point and on the tool, as weights sum to 1.
+    """
+    k = term.dofs.shape[1] // 3
+    return np.block([[np.tile(np.eye(3), (k, 1)), np.zeros((3 * k, 1))], [0.0, 0.0, 0.0, 1.0]])
+
+
+def on_points(term, x):
+    return term.gradient(x) @ together(term)
+
+
 @pytest.mark.parametrize("tool_height", [0.0, -7.0])
 def test_contact_law(tool_height):
     k, e, area = FABRIC.compaction, BLEND, 1200.0
@@ -591,7 +783,7 @@ def test_contact_law(tool_height):
         assert_allclose(term.penetration(x), p)
         assert_allclose(term.pressure(x), pressure, atol=1e-15)
         assert_allclose(term.energy(x).sum(), area * phi, atol=1e-15)
-        push = term.gradient(x).sum(0)
+        push = on_points(term, x).sum(0)
         assert_allclose(push, [0, 0, -area * pressure, area * pressure], atol=1e-12)
 
 
@@ -612,7 +804,7 @@ def test_depth_under_a_plate_carries_its_weight():
     p = term.depth_under(5.0, 1200.0)
     assert 0 < p < BLEND
     _, x = plate(p)
-    assert_allclose(term.gradient(x)[:, 3].sum(), 5.0)
+    assert_allclose(on_points(term, x)[:, 3].sum(), 5.0)
 
 
 def test_exact_and_convex_contact_differ_by_the_curvature_of_the_tool():
@@ -625,6 +817,130 @@ def test_exact_and_convex_contact_differ_by_the_curvature_of_the_tool():
             assert np.linalg.eigvalsh(exact).min() < -0.1
             assert np.linalg.eigvalsh(convex - exact).min() > -1e-9
             assert np.abs(convex - exact).max() > 0.1
+
+
+def test_nodes_are_averaged_along_both_fibre_lines():
+    """To x + (x₋ - 2 x + x₊)/24 where both neighbours are; ends of lines stay where they are."""
+    blank = rectangle(40.0, 30.0, 5.0)
+    points = at_nodes(blank)
+    assert_allclose(points.weights.sum(1), 1.0)
+    assert_array_equal(points.areas, blank.node_areas)
+    assert not points.sag.any()
+    s, t = blank.nodes.T
+    inside = (np.abs(s) < 19.0, np.abs(t) < 14.0)
+    z = 0.3 * s**2 + 0.7 * t**2  # second differences 2 · 0.3 h² and 2 · 0.7 h²
+    averaged = (points.weights[:, :, 2] * z[points.nodes]).sum(1)
+    h2 = 5.0**2
+    assert_allclose(averaged - z, (0.6 * h2 * inside[0] + 1.4 * h2 * inside[1]) / 24, atol=1e-12)
+    plane = 2.0 * s - 3.0 * t
+    assert_allclose((points.weights[:, :, 2] * plane[points.nodes]).sum(1), plane, atol=1e-12)
+
+
+def test_a_net_whose_averaged_nodes_lie_on_a_cylinder_has_the_length_of_its_surface():
+    """To fourth order; with the nodes themselves on it, it is too short by (h/R)²/24."""
+    h, radius = 5.0, 20.0
+    blank = rectangle(40.0, 20.0, h)
+    points = at_nodes(blank)
+    angle = blank.nodes[:, 0] / radius
+    inner = np.abs(blank.nodes[:, 0]) < 19.0
+    circle = np.column_stack([np.sin(angle), blank.nodes[:, 1] / radius, np.cos(angle)])
+    outside = radius * circle
+    averaged = (points.weights * outside[points.nodes]).sum(1)
+    off = np.hypot(averaged[inner, 0], averaged[inner, 2])
+    assert_allclose(off, radius * (1 + (np.cos(h / radius) - 1) / 12), rtol=1e-12)
+    # scaled until the points touch, each chord has the length of the arc on the tool
+    chord = 2 * radius * np.sin(h / (2 * radius)) * radius / off
+    assert_allclose(chord, h, rtol=(h / radius) ** 4 / 300)
+    assert 2 * radius * np.sin(h / (2 * radius)) < h * (1 - 0.99 * (h / radius) ** 2 / 24)
+
+
+def test_edges_touch_when_they_are_deeper_than_their_sag():
+    """l/8: what a chord of length l cuts off a circle of radius l, to 7 %."""
+    blank = BLANKS["cut"]
+    points = at_edges(blank)
+    ends = blank.nodes[points.nodes]
+    length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    assert_allclose(points.sag, SAG * length)
+    assert_allclose(points.sag, length * (1 - np.sqrt(0.75)), rtol=0.07)
+    assert_allclose(points.areas.sum(), blank.areas.sum())
+    x = flat(blank, rigid=1)
+    term = Contact(blank, FABRIC, Tool("plate", Plane()), len(x) - 1, points)
+    for depth in (0.0, *np.quantile(points.sag, [0.1, 0.5, 0.9]) + 1e-6):
+        x[2:-1:3] = FABRIC.thickness / 2 - depth
+        assert_allclose(term.penetration(x), depth - points.sag)
+        assert_array_equal(term.pressure(x) > 0, points.sag < depth)
+
+
+@pytest.mark.parametrize("sort", ["at nodes", "between"])
+@pytest.mark.parametrize("name", [name for name in SHAPES if name != "sphere"])
+def test_moment_is_the_derivative_by_the_tilts(name, sort):
+    given = contact(name, sort, tilts=True).term
+    term = Contact(given.blank, FABRIC, given.tool, given.tool_dofs[0], given.points)
+    x = touching(term, [2.0, 0.0, 0.0])
+    tilts = term.gradient(x)[:, -2:].sum(0)
+    assert_allclose(term.moment(x), -LEVER * tilts, rtol=1e-9, atol=1e-9)
+    assert np.abs(term.moment(x)).max() > 1.0
+
+
+def test_a_tool_surrounded_by_the_sheet_under_its_face():
+    """Where the points under the face of a ring lie around its origin, and where they do not."""
+    ring = flipped(round_opening(10.0, 2.0))
+    blank = rectangle(60.0, 60.0, 5.0)
+    x = flat(blank, rigid=3)
+    for place, around in (((0.0, 0.0), True), ((24.0, 0.0), True), ((35.0, 0.0), False)):
+        tool = Tool("ring", ring, motion="free", mass=1.0, place=place, tilts=True)
+        term = Contact(blank, FABRIC, tool, len(x) - 3)
+        x[-3] = FABRIC.thickness / 2
+        assert term.surrounds(x, ()) is around
+        x[-3] = 20.0  # far above the sheet
+        assert term.surrounds(x, ()) is False
+    half = rectangle(60.0, 60.0, 5.0, mirror=("x",))
+    x = flat(half, rigid=3)
+    x[-3] = FABRIC.thickness / 2
+    term = Contact(half, FABRIC, replace(tool, place=(0.0, 0.0)), len(x) - 3)
+    assert term.surrounds(x, ("x",)) is True
+    assert term.surrounds(x, ()) is False
+
+
+@pytest.mark.parametrize("name", [name for name in SHAPES if name not in ("plane", "opening")])
+def test_distance_far_away_is_a_lower_bound(name):
+    """Also from a shape's box on: d never exceeds the true distance, and is it where it counts."""
+    shape = SHAPES[name]
+    term = contact(name).term
+    points = np.random.default_rng(5).uniform(-200.0, 200.0, (3000, 3))
+    true, bound = shape.distance(points), term.distance(points)
+    assert (bound[0] <= true[0] + 1e-9).all()
+    close = true[0] < FAR_OFF
+    assert close.any()
+    for a, b in zip(true, bound, strict=True):
+        assert_array_equal(a[close], b[close])
+    assert (bound[0][~close] > 5.0).all()
+    if getattr(shape, "box", None) is not None:
+        assert (np.abs(bound[0] - true[0]) > 1.0).any()
+
+
+@pytest.mark.parametrize("name", [name for name in ON_TOOLS if name.startswith("contact")])
+def test_masses_from_the_stiffness_bound_make_unit_time_steps_stable(name):
+    """K ≤ 4 M with masses of half the row sums of the bound."""
+    case = ON_TOOLS[name]()
+    mass = 0.5 * case.term.stiffness_bound(case.x)
+    H = case.term.hessian(case.x, True)
+    n = mass.shape[1]
+    spare = 4 * mass[:, :, None] * np.eye(n) - H
+    assert np.linalg.eigvalsh(spare).min() > -1e-9 * np.abs(H).max()
+
+
+def test_evaluating_notices_that_a_state_was_changed_in_place():
+    term, x = contact("sphere").term, contact("sphere").x
+    first = term.energy(x), term.gradient(x), term.hessian(x, False)
+    x[-1] += 0.05
+    other = contact("sphere").term
+    for value, before in zip(
+        (term.energy(x), term.gradient(x), term.hessian(x, False)), first, strict=True
+    ):
+        assert (value != before).any()
+    for name in ("energy", "gradient", "penetration", "relative"):
+        assert_array_equal(getattr(term, name)(x), getattr(other, name)(x))
 
 
 # Friction
@@ -648,11 +964,11 @@ def test_stick_is_elastic_and_slip_is_limited():
     assert_array_equal(term.gradient(x), 0.0)
     for s in (0.3 * REACH, 0.9 * REACH):
         force = STICK * s * normal.area[:, None] * [0.6, 0.8, 0.0, 0.0]
-        assert_allclose(term.gradient(slid(x, s)), force, atol=1e-12)
+        assert_allclose(on_points(term, slid(x, s)), force, atol=1e-12)
         assert_allclose(term.energy(slid(x, s)), 0.5 * STICK * s**2 * normal.area)
     for s in (1.1 * REACH, 20 * REACH):
         force = MU * PRESSURE * normal.area[:, None] * [0.6, 0.8, 0.0, 0.0]
-        assert_allclose(term.gradient(slid(x, s)), force, atol=1e-12)
+        assert_allclose(on_points(term, slid(x, s)), force, atol=1e-12)
         work = MU * PRESSURE * normal.area * (s - REACH / 2)
         assert_allclose(term.energy(slid(x, s)), work)
 
@@ -662,11 +978,12 @@ def test_a_lightly_touching_node_sticks_and_a_committed_slip_goes_on():
         normal, x = plate(p)
         term = Friction(normal, x)
         stick = STICK * normal.area[:, None, None] * np.diag([1.0, 1.0, 0.0, 0.0])
-        assert_allclose(term.hessian(x, True), stick, atol=1e-12)
+        T = together(term)
+        assert_allclose(T.T @ term.hessian(x, True) @ T, stick, atol=1e-12)
         far = slid(x, 5 * REACH)
         term.commit(far)
         term.refresh(far)
-        along_slip, across = [0.6, 0.8, 0.0, 0.0], [-0.8, 0.6, 0.0, 0.0]
+        along_slip, across = T @ [0.6, 0.8, 0.0, 0.0], T @ [-0.8, 0.6, 0.0, 0.0]
         assert_allclose(term.hessian(far, True) @ along_slip, 0.0, atol=1e-9)
         assert (np.abs(term.hessian(far, True) @ across).max(1) > 0.1).all()
     normal, clear = plate(-DEPTH)
@@ -674,8 +991,10 @@ def test_a_lightly_touching_node_sticks_and_a_committed_slip_goes_on():
 
 
 def test_friction_cases_hold_both_sticking_and_slipping_nodes():
-    for name in SHAPES:
-        case = friction(name)
+    for name in ON_TOOLS:
+        if not name.startswith("friction"):
+            continue
+        case = ON_TOOLS[name]()
         force = np.linalg.norm(case.term.force(case.x), axis=1)
         touching = case.term.limit > 0
         slipping = force[touching] > (1 - 1e-9) * case.term.limit[touching]
@@ -684,8 +1003,13 @@ def test_friction_cases_hold_both_sticking_and_slipping_nodes():
 
 
 def test_exact_and_convex_friction_are_the_same():
+    """But for the finite turns of a tool that tilts."""
     case = friction("opening")
     assert_array_equal(case.term.hessian(case.x, True), case.term.hessian(case.x, False))
+    case = friction("holder", tilts=True)
+    turns = case.term.hessian(case.x, False) - case.term.hessian(case.x, True)
+    assert not turns[:, :-3, :-3].any()
+    assert np.abs(turns[:, -2:]).max() > 1e-3
 
 
 def test_commit_moves_the_anchor_of_a_slipping_node():
@@ -736,7 +1060,7 @@ def test_new_contact_is_anchored_where_it_touched():
     assert_array_equal(term.gradient(end), 0.0)  # no normal force is known yet
     term.refresh(end)
     force = STICK * 0.5 * s * normal.area[:, None] * [0.6, 0.8, 0.0, 0.0]
-    assert_allclose(term.gradient(end), force, atol=1e-9)
+    assert_allclose(on_points(term, end), force, atol=1e-9)
 
 
 def test_node_that_left_the_tool_forgets_its_anchor():
@@ -777,14 +1101,15 @@ def test_anchor_rides_with_its_tool():
     shaft = np.column_stack(
         [offset * np.cos(around), offset * np.sin(around), 60 + blank.nodes[:, 1]]
     )
-    x = np.append(shaft.ravel(), 0.0)
+    x = with_points_at(normal, shaft, [0.0])
+    assert_allclose(normal.penetration(x), DEPTH)
     term = Friction(normal, x)
     down = x.copy()
     down[-1] -= 0.5 * REACH
     force = 0.5 * STICK * REACH * normal.area[:, None] * [0.0, 0.0, 1.0, -1.0]
-    assert_allclose(term.gradient(down), force, atol=1e-9)
-    together = x - np.append(np.tile([0.0, 0.0, 2.0], len(shaft)), 2.0)
-    assert_allclose(term.gradient(together), 0.0, atol=1e-9)
+    assert_allclose(on_points(term, down), force, atol=1e-9)
+    both = x - np.append(np.tile([0.0, 0.0, 2.0], len(shaft)), 2.0)
+    assert_allclose(term.gradient(both), 0.0, atol=1e-9)
 
 
 # Weight
@@ -797,7 +1122,36 @@ def test_dead_loads():
     x[2:-1:3], x[-1] = 3.0, 0.5
     assert_allclose(sheet.energy(x).sum(), 0.5 * 0.02 * 1200.0 * 3.0)
     assert_allclose(sheet.gradient(x).sum(0), [0.5 * 0.02 * 1200.0, 0.02 * 1200.0 * 3.0])
-    tool = ToolWeight(5.0, 0)
+    tool = ToolWeight(49.05, 0)
     assert_allclose(tool.gradient(np.array([2.0])), [[49.05]])
     assert_allclose(tool.energy(np.array([2.0])), [98.1])
-    assert GRAVITY == 9.81e-3
+    assert GRAVITY == 9.81e-3  # N/g
+
+
+# Grippers
+
+
+def test_gripper_pulls_with_its_tension_and_yields_with_its_stiffness():
+    nodes, shares = np.array([1, 4, 2]), np.array([0.25, 0.25, 0.5])
+    e = np.array([0.6, 0.8, 0.0])
+    start = np.arange(9.0).reshape(3, 3)
+    term = Grip(nodes, shares, start, e, 12.0, 3.0)
+    x = np.zeros(15)
+    x[term.dofs] = start
+    assert_allclose(term.energy(x), 0.0, atol=1e-15)
+    assert_allclose(term.gradient(x), -12.0 * shares[:, None] * e)
+    x[term.dofs] += 4.0 * e  # where the spring has taken up the tension
+    assert_allclose(term.gradient(x), 0.0, atol=1e-12)
+    assert_allclose(term.energy(x).sum(), 0.5 * 3.0 * 4.0**2 - 12.0 * 4.0)
+    across = x.copy()
+    across[term.dofs] += 5.0 * np.array([-0.8, 0.6, 1.0])
+    assert_allclose(term.energy(across), term.energy(x))
+    for convex in (True, False):
+        assert_allclose(term.hessian(x, convex).sum(0), 3.0 * np.outer(e, e))
+
+
+def test_a_dead_pull_has_no_stiffness():
+    term = Grip(np.array([0]), np.ones(1), np.zeros((1, 3)), np.array([0.0, 1.0, 0.0]), 7.0, 0.0)
+    for y in (0.0, 50.0):
+        assert_allclose(term.gradient(np.array([3.0, y, -2.0])), [[0.0, -7.0, 0.0]])
+    assert not term.hessian(np.zeros(3), False).any()

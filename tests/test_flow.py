@@ -11,15 +11,16 @@ import quasiform
 # Each line may import from the lines above it, and a folder from itself.
 FLOW = """
     checks
-    files
-    material
+    files material net surface_file
     blank tool
-    measure geometry
+    outline surface
+    free_mesh scene_file
     energy
+    measure
     scene
     result
     solve
-    experiments theory
+    experiments forming theory
     identify compare export plot progress study
     report
     cli
@@ -106,7 +107,8 @@ def test_walk_finds_every_form_of_import():
         return imported(f"quasiform.{module}", deferred=False)
 
     assert "quasiform.checks" in found("material")
-    assert "quasiform.geometry" in found("experiments")  # from . import geometry
+    assert "quasiform.scene_file" in found("forming")  # from . import scene_file
+    assert "quasiform.outline" in found("scene_file")  # from . import outline as outlines
     assert "quasiform.energy.contact" in found("energy.friction")  # from .contact import Contact
     assert "quasiform.energy" in found("solve.newton")  # from ..energy import Potential
     assert "quasiform.solve" in found("cli")

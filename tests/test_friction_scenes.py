@@ -1,4 +1,4 @@
-"""Scenes built by hand, against closed forms: a strip over a drum and a strip between plates."""
+"""Scenes built by hand, against closed forms: a strip over a drum, and one between plates."""
 
 import numpy as np
 import pytest
@@ -6,11 +6,11 @@ import pytest
 import quasiform as qf
 from quasiform import theory
 from quasiform.energy.bending import Bending
-from quasiform.energy.contact import Contact
+from quasiform.energy.contact import BLEND, LEVER, Contact
 from quasiform.energy.friction import Friction
 from quasiform.energy.membrane import Membrane
-from quasiform.energy.weight import ToolWeight
-from quasiform.tool import Cylinder, Flipped, Plane
+from quasiform.energy.weight import GRAVITY, ToolWeight
+from quasiform.tool import Plane, bar, flipped
 
 
 class EndLoad:
@@ -50,7 +50,7 @@ def capstan(load, friction, size, radius=50.0, lead=25.0, width=10.0, pull=3.0):
         ]
     )
     x0 = np.append(wrapped.ravel(), 0.0)
-    drum = qf.Tool("drum", Cylinder(radius), friction=friction)
+    drum = qf.Tool("drum", bar(radius), friction=friction)
     contact = Contact(blank, fabric, drum, 3 * n)
     loaded = np.flatnonzero(blank.nodes[:, 0] < 1e-9)
     pulled = np.flatnonzero(blank.nodes[:, 0] > length - 1e-9)
@@ -95,7 +95,7 @@ def strip_between_plates(mass, friction, pull):
     n, t0 = len(blank.nodes), fabric.thickness
     plates = [
         qf.Tool("table", Plane(), friction=friction),
-        qf.Tool("plate", Flipped(Plane()), t0, "free", friction, mass),
+        qf.Tool("plate", flipped(Plane()), t0, "free", friction, mass),
     ]
     contacts = [Contact(blank, fabric, plate, 3 * n + i) for i, plate in enumerate(plates)]
     sunk = contacts[1].depth_under(9.81 * mass, blank.areas.sum())
@@ -117,7 +117,7 @@ def strip_between_plates(mass, friction, pull):
             Bending(blank, fabric),
             *contacts,
             *[Friction(contact, x0) for contact in contacts],
-            ToolWeight(mass, 3 * n + 1),
+            ToolWeight(1e3 * GRAVITY * mass, 3 * n + 1),
         ],
         x0=x0,
         fixed=fixed,
@@ -144,3 +144,56 @@ def test_strip_between_plates_sticks_below_the_limit():
     assert 0.0 < result.force < 0.6 * limit
     forces = result.history["force_N"]
     assert np.allclose(np.diff(forces), forces[1], rtol=1e-3)
+
+
+@pytest.mark.parametrize("place", [(0.0, 0.0), (8.0, 0.0), (0.0, -3.0), (-5.0, 2.0)])
+def test_a_plate_tilts_until_the_pressure_under_it_balances_its_weight(place):
+    """Far in the linear range, p = P/(k A) + e/2 + P (a·x)/(k I), once on each face.
+
+    a is the place of the weight, less what the mid-surface, where contact acts, turns away.
+    """
+    fabric, load = qf.Fabric(), 4e4
+    blank = qf.rectangle(100.0, 50.0, 10.0)
+    n, t0 = len(blank.nodes), fabric.thickness
+    table = qf.Tool("table", Plane())
+    plate = qf.Tool("plate", flipped(Plane()), t0, "free", 0.0, 0.0, load, place, tilts=True)
+    contacts = [Contact(blank, fabric, table, 3 * n), Contact(blank, fabric, plate, 3 * n + 1)]
+    p = load / (fabric.compaction * 5000.0) + BLEND / 2
+    flat = np.column_stack([blank.nodes, np.full(n, t0 / 2 - p)])
+    x0 = np.append(flat.ravel(), [0.0, t0 - 2 * p, 0.0, 0.0])
+    fixed = np.zeros(len(x0), dtype=bool)
+    fixed[: 3 * n] = np.tile([True, True, False], n)  # held in its plane
+    fixed[3 * n] = True
+    result = qf.solve(
+        qf.Scene(
+            name="tilting plate",
+            blank=blank,
+            fabric=fabric,
+            dim=3,
+            terms=[
+                *(Membrane(blank, fabric, 3), Bending(blank, fabric), *contacts),
+                ToolWeight(load, 3 * n + 1),
+            ],
+            x0=x0,
+            fixed=fixed,
+            drive=np.zeros(len(x0)),
+            travel=1.0,
+            increment=1.0,
+            rows=1.0,
+            resting=load,
+        ),
+        tolerance=1e-6,
+    )
+    assert result.status == "completed"
+    x = result.states[-1].x
+    height, about_x, about_y = x[-3], *x[-2:] / LEVER
+    c = 2 * load / (fabric.compaction * (blank.node_areas @ blank.nodes**2))
+    slope = c * place / (1 + c * (t0 / 2 - p))
+    # a turn about y lowers the side of positive x, one about x lifts that of positive y
+    assert (about_y, -about_x) == pytest.approx(tuple(slope), rel=1e-4, abs=1e-8)
+    assert height == pytest.approx(t0 - 2 * p - slope @ place, abs=1e-6)
+    for contact, upright in zip(contacts, (1.0, np.cos(about_x) * np.cos(about_y)), strict=True):
+        force = contact.pressure(x) * blank.node_areas * upright
+        assert force.sum() == pytest.approx(load, rel=1e-6)
+        moment = load * slope / c
+        assert force @ blank.nodes == pytest.approx(moment, rel=1e-4, abs=0.1)

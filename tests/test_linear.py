@@ -135,7 +135,7 @@ def test_nested_dissection_has_less_fill_than_the_natural_order():
         return factor.L.nnz
 
     dissected = fill(nested_dissection(system.graph, system.points))
-    assert dissected < 0.8 * fill(np.arange(len(system.b)))
+    assert dissected < 0.9 * fill(np.arange(len(system.b)))  # along lines: a band matrix already
     assert dissected < 0.2 * fill(np.random.default_rng(0).permutation(len(system.b)))
 
 

@@ -12,11 +12,12 @@ from matplotlib.image import imread
 import quasiform as qf
 from quasiform import plot
 from quasiform.blank import rotation
+from quasiform.files import PICTURES
 from quasiform.plot import save_pictures
 
 SCENES = {
     "formed": lambda: qf.forming(size=30, travel=10),
-    "formed, turned fibres": lambda: qf.forming(size=30, travel=10, orientation=45),
+    "formed, turned fibres": lambda: qf.forming(size=30, travel=5, orientation=45),
     "off-axis": lambda: qf.off_axis_tension(displacement=10, size=40),
     "picture frame": lambda: qf.picture_frame(size=25),
     "cantilever": lambda: qf.cantilever(100, 7e-6, width=20, size=10),
@@ -25,13 +26,13 @@ SCENES = {
 
 @pytest.fixture(scope="module")
 def results():
-    return {name: qf.solve(scene()) for name, scene in SCENES.items()}
+    return {name: qf.solve(scene(), estimate=False) for name, scene in SCENES.items()}
 
 
 def pictures(result, folder):
-    """Both pictures, (height, width, 3), from 0 to 1."""
+    """All pictures, (height, width, 3), from 0 to 1."""
     save_pictures(result, folder)
-    shown = [imread(folder / name)[..., :3] for name in ("shear_angle.png", "history.png")]
+    shown = [imread(folder / name)[..., :3] for name in PICTURES]
     for picture in shown:
         assert picture.shape[1] == pytest.approx(16 / 2.54 * 200, abs=1)
         assert picture.std() > 0.03
@@ -125,6 +126,30 @@ def test_collapsed_triangles_have_their_own_colour(results):
         assert count == plot._collapsed(shown).sum()
 
 
+def test_doubts_are_painted_by_reason(results):
+    """The sheet is taken to be known up to a small angle only; each share stands in the key."""
+    result = results["formed"]
+    fabric = replace(result.scene.fabric, shear_range=0.5)
+    result = replace(result, scene=replace(result.scene, fabric=fabric))
+    doubts = result.doubts()
+    assert set(plot.DOUBTS) == set(doubts)
+    figure = plot._doubt_figure(result)
+    sheet, key = figure.axes
+    colours = sheet.collections[0].get_facecolors()
+    colours = colours[colours[:, 3] > 0, :3]
+    trusted = ~np.any(list(doubts.values()), axis=0)
+    for flag, colour in (
+        (trusted, plot.TRUSTED),
+        (doubts["beyond_identified_range"], plot.DOUBTS["beyond_identified_range"][0]),
+    ):
+        assert 0 < flag.sum() == np.isclose(colours, to_rgb(colour), atol=1e-6).all(1).sum()
+    words = [text.get_text() for text in key.get_legend().get_texts()]
+    share = 100 * result.blank.areas @ doubts["beyond_identified_range"] / 310.0**2
+    assert f"beyond 0.5°: law not identified: {share:.1f} %" in words
+    assert "nothing against it" in words
+    assert len(words) == 5
+
+
 def test_off_axis_closed_form(results):
     u, gamma, force = plot._off_axis_theory(results["off-axis"])
     assert (u[-1], gamma[-1]) == pytest.approx((10.0, 7.41), abs=5e-3)
@@ -198,14 +223,16 @@ def test_grips_lie_outside_the_specimen(results):
         assert np.ptp(grip[:, 1]) == pytest.approx(160.0)
 
 
-def test_draw_in_stands_at_each_edge_of_a_mirrored_blank(results):
+@pytest.mark.parametrize("name", ["formed", "formed, turned fibres"])
+def test_draw_in_stands_at_each_edge_of_a_mirrored_blank(results, name):
     axes = Figure().subplots()
-    plot._draw_draw_in_arrows(axes, results["formed"])
+    plot._draw_draw_in_arrows(axes, results[name])
     numbers = [text for text in axes.texts if text.get_text()]
     places = np.array([text.get_position() for text in numbers])
     assert len(numbers) == 4
     np.testing.assert_allclose(places.sum(0), 0.0, atol=1e-9)
-    assert np.abs(places).max() > 155
+    np.testing.assert_allclose(np.abs(places).min(1), 0.0, atol=1e-9)  # on the user's axes
+    assert (np.abs(places).max(1) > 155).all()
 
 
 def test_far_side_is_hidden(results):

@@ -140,33 +140,3 @@ def test_a_motion_without_stiffness_stops_with_the_reason():
     assert result.status == "stopped"
     assert result.reason.startswith("at 0 of 5: ")
     assert result.certified is not True
-
-
-def test_quarter_and_whole_agree():
-    quarter, whole = (
-        qf.solve(qf.forming(size=20, travel=10, symmetry=symmetry), estimate=False)
-        for symmetry in ("auto", "none")
-    )
-    assert quarter.force == pytest.approx(whole.force, rel=1e-6)
-    assert quarter.draw_in == pytest.approx(whole.draw_in, rel=1e-5)
-    assert quarter.areas == pytest.approx(whole.areas, rel=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ("radius = { value = 80.0", "radius = { value = 60.0", "die.radius must be at least"),
-        ("length = { value = 310.0", "length = { value = 100.0", "under the blank holder"),
-    ],
-)
-def test_impossible_tools_are_refused(tmp_path, old, new, message):
-    from quasiform import geometry
-
-    text = (geometry.FOLDER / "hemisphere.toml").read_text(encoding="utf-8")
-    text = text.replace(old, new)
-    if "length" in old:
-        text = text.replace("width = { value = 310.0", "width = { value = 100.0")
-    path = tmp_path / "mine.toml"
-    path.write_text(text, encoding="utf-8")
-    with pytest.raises(qf.InputError, match=message):
-        qf.forming(path, size=10)

@@ -42,6 +42,14 @@ class Remembering(Protocol):
     def commit(self, x: FloatArray) -> None: ...
 
 
+@runtime_checkable
+class Selective(Protocol):
+    """A term of which few stencils act at a time: `hessian` can be asked for these only."""
+
+    def active(self, x: FloatArray) -> np.ndarray: ...
+    def hessian(self, x: FloatArray, convex: bool, rows: np.ndarray) -> FloatArray: ...
+
+
 class Potential:
     """The sum of the energy terms over the free degrees of freedom, with a fixed sparsity pattern.
 
@@ -67,6 +75,12 @@ class Potential:
         diagonal = np.arange(n, dtype=np.int64) * (n + 1)
         unique, inverse = np.unique(np.concatenate([*keys, diagonal]), return_inverse=True)
         self._slots = np.split(inverse, np.cumsum([len(k) for k in keys]))[:-1]
+        self._selective = [isinstance(term, Selective) for term in terms]
+        for i, term in enumerate(terms):
+            if self._selective[i]:  # by stencil; what is not kept goes to a last slot
+                slots = np.full(term.dofs.size * term.dofs.shape[1], len(unique))
+                slots[self._kept[i]] = self._slots[i]
+                self._slots[i] = slots.reshape(len(term.dofs), -1).astype(np.int32)
         indptr = np.searchsorted(unique, np.arange(n + 1, dtype=np.int64) * n)
         self.pattern = csr_array((np.zeros(len(unique)), unique % n, indptr), shape=(n, n))
 
@@ -103,10 +117,21 @@ class Potential:
         """
         values = np.zeros(self.pattern.nnz)
         load = np.zeros(len(x))
-        for term, kept, slots in zip(self.terms, self._kept, self._slots, strict=True):
-            H = term.hessian(x, convex)
-            values += np.bincount(slots, H.reshape(-1)[kept], minlength=len(values))
-            if motion is not None and (moved := motion[term.dofs]).any():
+        for term, selective, kept, slots in zip(
+            self.terms, self._selective, self._kept, self._slots, strict=True
+        ):
+            dofs = term.dofs
+            if selective:
+                rows = term.active(x)
+                if not len(rows):
+                    continue
+                H, dofs = term.hessian(x, convex, rows), dofs[rows]
+                new = np.bincount(slots[rows].ravel(), H.ravel(), minlength=len(values) + 1)
+                values += new[:-1]
+            else:
+                H = term.hessian(x, convex)
+                values += np.bincount(slots, H.reshape(-1)[kept], minlength=len(values))
+            if motion is not None and (moved := motion[dofs]).any():
                 push = (H @ moved[:, :, None])[:, :, 0]
-                load += np.bincount(term.dofs.ravel(), push.ravel(), minlength=len(x))
+                load += np.bincount(dofs.ravel(), push.ravel(), minlength=len(x))
         return values, load[self.free]

@@ -87,14 +87,23 @@ class Bending:
             rows[:, 2 + f] = (slopes * known[:, :, None, None]).sum(0) / count[:, None, None]
             constant[:, 2 + f] = fixed.sum(0) / count[:, None]
         bent = (np.abs(rows[:, :2]).sum((1, 2, 3)) > 0) & half_lengths.all(1)
-        rows, nodes = rows[bent], nodes[bent]
-        self.constant = constant[bent]
-        self.operator = (rows[:, :, None] * np.eye(3)[None, None, :, None, :]).reshape(
-            len(rows), 12, 15
-        )
-        self.dofs = (3 * nodes[:, :, None] + np.arange(3)).reshape(len(nodes), 15)
-        area = half_lengths[bent].prod(1)
-        self.stiffness = area[:, None] * [fabric.bending_warp, fabric.bending_weft]
+        areas = half_lengths[bent].prod(1)
+        self._set(fabric, nodes[bent], rows[bent], constant[bent], areas)
+
+    def _set(
+        self,
+        fabric: Fabric,
+        nodes: IntArray,
+        rows: FloatArray,
+        constant: FloatArray,
+        areas: FloatArray,
+    ) -> None:
+        """Keep stencils of nodes (m, k), and of k_warp, k_weft, u, v as rows (m, 4, k, 3)."""
+        m, k = nodes.shape
+        self.constant = constant
+        self.operator = (rows[:, :, None] * np.eye(3)[None, None, :, None, :]).reshape(m, 12, 3 * k)
+        self.dofs = (3 * nodes[:, :, None] + np.arange(3)).reshape(m, 3 * k)
+        self.stiffness = areas[:, None] * [fabric.bending_warp, fabric.bending_weft]
         self.in_plane = fabric.in_plane_bending
 
     def curvature(self, x: FloatArray) -> FloatArray:

@@ -1,28 +1,112 @@
-"""Penalty contact between the sheet's nodes and a rigid tool: E = Σ w φ(p), p = t0/2 - d(x).
+"""Penalty contact between the sheet and a rigid tool: E = Σ w φ(p), p = t0/2 - d(y) - s.
 
-φ is C² and has no stiffness at touch: with the compaction stiffness k and the blending depth e
+The sum is over points of the sheet; y is the point in the tool's frame, d the tool's distance. φ is
+C² and has no stiffness at touch: with the compaction stiffness k and the blending depth e
 
     φ(p) = k p³/(6 e)                     for 0 < p < e
     φ(p) = k (p²/2 - e p/2 + e²/6)        for p ≥ e
 
-w is the tributary area of the node. The last local degree of freedom is the height of the tool, so
-that the force on a tool is a derivative of the potential like any other.
+and w is the area of the sheet that the point stands for.
+
+A net of straight edges is not the smooth sheet that it stands for: with its nodes on a tool of
+curvature c it is shorter than the sheet by (c h)²/24, and its edges cut into the tool by c h²/8.
+Therefore there are two sorts of points. *Nodes* touch with their place averaged along both fibre
+lines, x + (x₋ - 2 x + x₊)/24, which puts them where the net has the right length. *Middles of
+edges* touch when they are deeper than the sag s = l/8 of an edge l on a radius as small as itself:
+they act only where a tool bends more sharply than the mesh can follow, and bound what the nodes
+miss. (With s = 0 edges ride over fillets one by one: three times the linear solves, and a force
+that ripples.)
+
+The last local degrees of freedom are those of the tool, so that the force on a tool is a derivative
+of the potential like any other: its height z, and the tilts a/L and b/L about x and y of a tool
+that tilts, with
+
+    y = Ry(b/L)' Rx(a/L)' (X - z e_z).
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
+import shapely
 
 from ..blank import Blank
 from ..material import Fabric
-from ..tool import Tool
+from ..tool import Distance, Tool
 
 FloatArray = np.ndarray
+IntArray = np.ndarray
 BLEND = 0.05  # e, mm
+LEVER = 100.0  # L, mm: tilts are measured by the motion of a point at this distance
+LENGTH_TRUE = 1 / 24
+SAG = 1 / 8
+FAR_OFF = 20.0  # mm
+
+
+@dataclass(frozen=True)
+class Points:
+    """Points of the sheet that may touch a tool, each a weighted mean of nodes.
+
+    Parameters
+    ----------
+    name : str
+    nodes : (m, k) int array
+    weights : (m, k, 3) array
+        By node and component (at a mirror plane these differ); they sum to 1 over the nodes.
+    areas : (m,) array
+        Area that a point stands for, mm².
+    sag : (m,) array
+        s, mm.
+    """
+
+    name: str
+    nodes: IntArray
+    weights: FloatArray
+    areas: FloatArray
+    sag: FloatArray
+
+
+def at_nodes(blank: Blank) -> Points:
+    """Nodes, averaged along the fibre lines so that the net keeps its length on a curved tool."""
+    n = len(blank.nodes)
+    own = np.arange(n)
+    nodes = np.repeat(own[:, None], 5, axis=1)
+    weights = np.zeros((n, 5, 3))
+    weights[:, 0] = 1.0
+    for f, family in enumerate(("warp", "weft") if blank.pairs is None else ()):
+        segments = blank.fibre_lines(family).t
+        side = np.full((n, 2), -1)
+        side[segments[1], 0], side[segments[0], 1] = segments
+        along = blank.warp if family == "warp" else blank.weft
+        inner = (side >= 0).all(1)
+        share = np.repeat(LENGTH_TRUE * inner[:, None].astype(float), 3, axis=1)
+        for axis, plane in enumerate("xy"):
+            if plane in blank.mirror and abs(along[axis]) > 1 - 1e-8:
+                on_plane = (np.abs(blank.nodes[:, axis]) < 1e-9) & (side >= 0).any(1)
+                share[on_plane] = LENGTH_TRUE  # the missing neighbour is the mirrored other one
+                share[on_plane, axis] = 0.0
+                side[on_plane] = side[on_plane].max(1)[:, None]
+                inner |= on_plane
+        for k in (0, 1):
+            column = 1 + 2 * f + k
+            nodes[inner, column] = side[inner, k]
+            weights[inner, column] = share[inner]
+            weights[inner, 0] -= share[inner]
+    return Points("", nodes, weights, blank.node_areas, np.zeros(n))
+
+
+def at_edges(blank: Blank) -> Points:
+    """Middles of the edges, with the sag that an edge may have."""
+    edges = blank.mesh.facets.T
+    half = np.repeat(blank.areas / 3.0, 3)
+    areas = np.bincount(blank.mesh.t2f.T.ravel(), half, minlength=len(edges))
+    length = np.linalg.norm(np.diff(blank.nodes[edges], axis=1)[:, 0], axis=1)
+    return Points(" between nodes", edges, np.full((*edges.shape, 3), 0.5), areas, SAG * length)
 
 
 class Contact:
-    """Normal contact of all nodes with one tool.
+    """Normal contact of points of the sheet with one tool.
 
     Parameters
     ----------
@@ -30,54 +114,215 @@ class Contact:
     fabric : Fabric
         Supplies thickness t0 and compaction stiffness k.
     tool : Tool
-    height_dof : int
-        Degree of freedom of the tool's height.
+    tool_dof : int
+        Degree of freedom of the tool's height; those of its tilts follow.
+    points : Points, optional
+        Where the sheet touches; `at_nodes(blank)` if not given.
     """
 
-    def __init__(self, blank: Blank, fabric: Fabric, tool: Tool, height_dof: int) -> None:
-        self.name = f"contact with {tool.name}"
-        self.tool = tool
-        nodes = np.arange(len(blank.nodes))
-        self.dofs = np.column_stack(
-            [3 * nodes, 3 * nodes + 1, 3 * nodes + 2, 0 * nodes + height_dof]
-        )
-        self.area = blank.node_areas
-        self.offset = 0.5 * fabric.thickness
+    def __init__(
+        self,
+        blank: Blank,
+        fabric: Fabric,
+        tool: Tool,
+        tool_dof: int,
+        points: Points | None = None,
+    ) -> None:
+        self.blank, self.tool = blank, tool
+        self.points = points or at_nodes(blank)
+        self.name = f"contact with {tool.name}{self.points.name}"
+        m = len(self.points.nodes)
+        nodal = (3 * self.points.nodes[:, :, None] + np.arange(3)).reshape(m, -1)
+        self.tool_dofs = tool_dof + np.arange(3 if tool.tilts else 1)
+        self.dofs = np.column_stack([nodal, np.tile(self.tool_dofs, (m, 1))])
+        self.height_column = nodal.shape[1]
+        self._last: tuple[FloatArray, tuple] | None = None
+        self.area = self.points.areas
+        self.reach = 0.5 * fabric.thickness - self.points.sag
         self.compaction = fabric.compaction
 
+    def _arm(self, x: FloatArray) -> FloatArray:
+        """(m, 3) places of the points relative to the tool's origin, mm."""
+        places = x[3 * self.points.nodes[:, :, None] + np.arange(3)]
+        return (self.points.weights * places).sum(1) - self.origin(x)
+
+    def origin(self, x: FloatArray) -> FloatArray:
+        """(3,) origin of the tool, mm."""
+        return np.array([*self.tool.place, x[self.tool_dofs[0]]])
+
+    def _turns(self, x: FloatArray) -> tuple[list[FloatArray], list[FloatArray]]:
+        """Rx(a/L)' and Ry(b/L)' (3, 3) with their first and second derivatives by a and b."""
+        tilt = x[self.tool_dofs[1:]] if self.tool.tilts else np.zeros(2)
+        return _turn(tilt[0] / LEVER, 1, 2), _turn(tilt[1] / LEVER, 2, 0)
+
     def relative(self, x: FloatArray) -> FloatArray:
-        """(n_nodes, 3) positions in the tool's frame, mm."""
-        local = x[self.dofs]
-        points = local[:, :3].copy()
-        points[:, 2] -= local[:, 3]
-        return points
+        """(m, 3) positions of the points in the tool's frame, mm."""
+        return self._at(x)[0]
+
+    def _at(self, x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Positions in the tool's frame with d, n and its curvature there; kept for the last x."""
+        if self._last is None or not np.array_equal(self._last[0], x):
+            y = self.in_tool_frame(x, self._arm(x))
+            self._last = x.copy(), (y, *self.distance(y))
+        return self._last[1]
+
+    def in_tool_frame(self, x: FloatArray, arm: FloatArray) -> FloatArray:
+        """Turn (m, 3) places relative to the tool's origin into its frame."""
+        if not self.tool.tilts:
+            return arm
+        A, B = self._turns(x)
+        return arm @ (B[0] @ A[0]).T
+
+    def distance(self, y: FloatArray) -> Distance:
+        """Distance of the tool at (m, 3) positions in its frame; far away that to its box."""
+        box = getattr(self.tool.shape, "box", None)
+        if box is None:
+            return self.tool.shape.distance(y)
+        n, H = np.zeros_like(y), np.zeros((len(y), 3, 3))
+        d = np.linalg.norm(y - np.clip(y, *box), axis=1)
+        near = d < FAR_OFF
+        d[near], n[near], H[near] = self.tool.shape.distance(y[near])
+        return d, n, H
 
     def penetration(self, x: FloatArray) -> FloatArray:
-        """(n_nodes,) p, mm; negative where the sheet is clear of the tool."""
-        return self.offset - self.tool.shape.distance(self.relative(x))[0]
+        """(m,) p, mm; negative where the sheet is clear of the tool."""
+        return self.reach - self._at(x)[1]
+
+    def normal(self, x: FloatArray) -> FloatArray:
+        """(m, 3) unit normals of the tool in its frame (the gradient of a grid is none)."""
+        n = self._at(x)[2]
+        return n / np.maximum(np.linalg.norm(n, axis=1), 1e-12)[:, None]
 
     def pressure(self, x: FloatArray) -> FloatArray:
-        """(n_nodes,) contact pressure, MPa."""
+        """(m,) contact pressure, MPa."""
         return self._law(self.penetration(x))[1]
 
+    def nodal_force(self, x: FloatArray) -> FloatArray:
+        """(n_nodes,) normal contact force spread to the nodes, N."""
+        force = (self.area * self.pressure(x))[:, None] * self.points.weights.mean(2)
+        return np.bincount(
+            self.points.nodes.ravel(), force.ravel(), minlength=len(self.blank.nodes)
+        )
+
     def energy(self, x: FloatArray) -> FloatArray:
-        """Energy of each node, mJ."""
+        """Energy of each point, mJ."""
         return self.area * self._law(self.penetration(x))[0]
 
     def gradient(self, x: FloatArray) -> FloatArray:
-        """(n_nodes, 4) force on node and tool height, N."""
-        d, n, _ = self.tool.shape.distance(self.relative(x))
-        force = -self.area * self._law(self.offset - d)[1]
-        return force[:, None] * np.column_stack([n, -n[:, 2]])
+        """(m, n_local) forces on nodes, tool height and tilts (by L), N."""
+        _, d, n, _ = self._at(x)
+        force = -self.area * self._law(self.reach - d)[1]
+        return self.pull_back(x, force[:, None] * n)
 
-    def hessian(self, x: FloatArray, convex: bool) -> FloatArray:
-        """(n_nodes, 4, 4) stiffness, N/mm; with `convex` without the curvature of the tool."""
-        d, n, curvature = self.tool.shape.distance(self.relative(x))
-        _, pressure, stiffness = self._law(self.offset - d)
-        H = (self.area * stiffness)[:, None, None] * (n[:, :, None] * n[:, None, :])
+    def active(self, x: FloatArray) -> IntArray:
+        """Numbers of the points that touch."""
+        return np.flatnonzero(self.penetration(x) > 0)
+
+    def hessian(
+        self, x: FloatArray, convex: bool, rows: IntArray | slice = slice(None)
+    ) -> FloatArray:
+        """(m, n_local, n_local) stiffness, N/mm; with `convex` without the curvature of the tool.
+
+        With `rows`, that of these points only.
+        """
+        d, n, curvature = (of_all[rows] for of_all in self._at(x)[1:])
+        _, pressure, stiffness = self._law(self.reach[rows] - d)
+        area = self.area[rows]
+        H = (area * stiffness)[:, None, None] * (n[:, :, None] * n[:, None, :])
+        force = None
         if not convex:
-            H -= (self.area * pressure)[:, None, None] * curvature
-        return with_tool_height(H)
+            H -= (area * pressure)[:, None, None] * curvature
+            force = (-area * pressure)[:, None] * n
+        return self.pull_back_stiffness(x, H, force, rows)
+
+    def pull_back(self, x: FloatArray, force: FloatArray) -> FloatArray:
+        """(m, n_local) local forces from (m, 3) derivatives by the position in the tool's frame."""
+        A, B = self._turns(x)
+        by_arm = force @ (B[0] @ A[0])
+        local = np.empty(self.dofs.shape)
+        local[:, : self.height_column] = (self.points.weights * by_arm[:, None]).reshape(
+            len(force), -1
+        )
+        local[:, self.height_column] = -by_arm[:, 2]
+        if self.tool.tilts:
+            arm = self._arm(x)
+            for column, turn in ((-2, B[0] @ A[1]), (-1, B[1] @ A[0])):
+                local[:, column] = np.einsum("mc,mc->m", force, arm @ turn.T)
+        return local
+
+    def pull_back_stiffness(
+        self, x: FloatArray, H: FloatArray, force: FloatArray | None, rows: IntArray | slice
+    ) -> FloatArray:
+        """(m, n_local, n_local) from second (m, 3, 3) and first derivatives (m, 3) by y.
+
+        Without `force` the part of the tool's finite rotation is left out.
+        """
+        J = self._jacobian(x, rows)
+        local = J.transpose(0, 2, 1) @ H @ J
+        if force is None or not self.tool.tilts:
+            return local
+        A, B = self._turns(x)
+        arm, weights = self._arm(x)[rows], self.points.weights[rows]
+        for i, turn in ((-2, B[0] @ A[1]), (-1, B[1] @ A[0])):
+            by_arm = force @ turn
+            row = np.zeros((len(arm), local.shape[1]))
+            row[:, :-3] = (weights * by_arm[:, None]).reshape(len(arm), -1)
+            row[:, -3] = -by_arm[:, 2]
+            local[:, i, :] += row
+            local[:, :, i] += row
+        for i, j, turn in ((-2, -2, B[0] @ A[2]), (-2, -1, B[1] @ A[1]), (-1, -1, B[2] @ A[0])):
+            value = np.einsum("mc,mc->m", force, arm @ turn.T)
+            local[:, i, j] += value
+            local[:, j, i] += value if i != j else 0.0
+        return local
+
+    def _jacobian(self, x: FloatArray, rows: IntArray | slice) -> FloatArray:
+        """(m, 3, n_local) derivative of y by the local degrees of freedom."""
+        weights = self.points.weights[rows]
+        A, B = self._turns(x)
+        T = B[0] @ A[0]
+        m, k, _ = weights.shape
+        J = np.empty((m, 3, self.dofs.shape[1]))
+        J[:, :, : 3 * k] = (weights[:, None] * T[:, None, :]).reshape(m, 3, -1)
+        J[:, :, 3 * k] = -T[:, 2]
+        if self.tool.tilts:
+            arm = self._arm(x)[rows]
+            J[:, :, -2] = arm @ (B[0] @ A[1]).T
+            J[:, :, -1] = arm @ (B[1] @ A[0]).T
+        return J
+
+    def surrounds(self, x: FloatArray, mirror: tuple[str, ...]) -> bool:
+        """Whether the points under the tool's flat face lie around its origin.
+
+        Parameters
+        ----------
+        x : (n_dofs,) array
+        mirror : tuple of "x" and "y"
+            Planes at which the modelled part continues.
+        """
+        _, d, n, _ = self._at(x)
+        under = self._arm(x)[(d < 5.0) & (np.abs(n[:, 2]) > 0.99), :2]
+        for axis, plane in enumerate("xy"):
+            if plane in mirror:
+                flip = np.ones(2)
+                flip[axis] = -1.0
+                under = np.vstack([under, under * flip])
+        return bool(shapely.MultiPoint(under).convex_hull.contains(shapely.Point(0.0, 0.0)))
+
+    def moment(self, x: FloatArray) -> FloatArray:
+        """(2,) moment of the contact forces on the tool about x and y through its origin, N mm."""
+        y, d, n, _ = self._at(x)
+        force = (-self.area * self._law(self.reach - d)[1])[:, None] * n
+        return np.cross(y, force).sum(0)[:2]
+
+    def stiffness_bound(self, x: FloatArray) -> FloatArray:
+        """(m, n_local) shares of the row sums of the stiffness if every point touched, N/mm."""
+        far = np.linalg.norm(self._arm(x), axis=1)[:, None] / LEVER
+        tilts = [far, far] if self.tool.tilts else []
+        nodal = np.abs(self.points.weights).reshape(len(far), -1)
+        shares = np.column_stack([nodal, np.ones(len(far)), *tilts])
+        total = nodal.sum(1)[:, None] / 3 + 1.0 + sum(tilts)
+        return (0.5 * self.area * self.compaction)[:, None] * total * shares
 
     def depth_under(self, force: float, area: float) -> float:
         """Penetration at which a plate on `area` mm² of sheet carries `force` N (in the blend)."""
@@ -94,9 +339,15 @@ class Contact:
         return k * value, k * first, k * second
 
 
-def with_tool_height(H: FloatArray) -> FloatArray:
-    """Extend (n, 3, 3) stiffness by the tool's height: x - z e_z is all that matters."""
-    J = np.zeros((3, 4))
-    J[:, :3] = np.eye(3)
-    J[2, 3] = -1.0
-    return J.T @ H @ J
+def _turn(angle: float, i: int, j: int) -> list[FloatArray]:
+    """Transposed rotation in the plane of axes i, j; first and second derivative by L times it."""
+    c, s = np.cos(angle), np.sin(angle)
+    series = []
+    for order, (p, q) in enumerate(((c, s), (-s, c), (-c, -s))):
+        R = np.zeros((3, 3))
+        R[i, i], R[i, j], R[j, i], R[j, j] = p, q, -q, p
+        R /= LEVER**order
+        if order == 0:
+            R[3 - i - j, 3 - i - j] = 1.0
+        series.append(R)
+    return series

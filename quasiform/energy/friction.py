@@ -1,7 +1,7 @@
 """Coulomb friction with true stick, as a potential with lagged normal force.
 
-For a node with the normal force λ and the normal n taken from an earlier state, and the tangential
-distance s = (1 - n n')(x - anchor) in the tool's frame,
+For a point of the sheet with the normal force λ and the normal n taken from an earlier state, and
+the tangential distance s = (1 - n n')(x - anchor) in the tool's frame,
 
     E = K/2 |s|²                    while |s| ≤ μ λ/K      (elastic stick)
     E = μ λ (|s| - μ λ/(2 K))       beyond                 (slip)
@@ -18,14 +18,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from .contact import Contact, with_tool_height
+from .contact import Contact
 
 FloatArray = np.ndarray
+IntArray = np.ndarray
 STICK = 0.1  # stiffness of elastic stick per area, N/mm³
 
 
 class Friction:
-    """Friction of all nodes on one tool.
+    """Friction of the sheet on one tool, at the points where it touches.
 
     Parameters
     ----------
@@ -50,9 +51,8 @@ class Friction:
         A node that has come into touch is anchored where its path since the last commit met the
         tool. Refreshing at the last committed state undoes all refreshing since.
         """
-        points = self.contact.relative(x)
-        d, self.normal, _ = self.contact.tool.shape.distance(points)
-        p = self.contact.offset - d
+        points, p = self.contact.relative(x), self.contact.penetration(x)
+        self.normal = self.contact.normal(x)
         self.limit = self.contact.tool.friction * self.contact.area * self.contact.pressure(x)
         before, p_before, anchor = self._committed
         fresh = (p_before <= 0) & (p > 0)
@@ -76,34 +76,42 @@ class Friction:
         return s, np.linalg.norm(s, axis=1)
 
     def energy(self, x: FloatArray) -> FloatArray:
-        """Energy of each node, mJ."""
+        """Energy of each point, mJ."""
         _, length = self._slide(x)
         reach = np.minimum(length, self.limit / self.stick)
         return 0.5 * self.stick * reach**2 + self.limit * (length - reach)
 
     def force(self, x: FloatArray) -> FloatArray:
-        """(n_nodes, 3) gradient by the node's position, N."""
+        """(m, 3) gradient by the position in the tool's frame, N."""
         s, length = self._slide(x)
         return s * np.minimum(self.stick, self.limit / np.maximum(length, 1e-300))[:, None]
 
     def gradient(self, x: FloatArray) -> FloatArray:
-        """(n_nodes, 4) force on node and tool height, N."""
-        f = self.force(x)
-        return np.column_stack([f, -f[:, 2]])
+        """(m, n_local) forces on nodes and tool, N."""
+        return self.contact.pull_back(x, self.force(x))
 
-    def hessian(self, x: FloatArray, convex: bool) -> FloatArray:
-        """(n_nodes, 4, 4) stiffness, N/mm; positive semi-definite."""
-        s, length = self._slide(x)
-        n = self.normal
+    def active(self, x: FloatArray) -> IntArray:
+        """Numbers of the points that rub."""
+        return np.flatnonzero(self.limit > 0)
+
+    def hessian(
+        self, x: FloatArray, convex: bool, rows: IntArray | slice = slice(None)
+    ) -> FloatArray:
+        """(m, n_local, n_local) stiffness, N/mm; positive semi-definite with `convex`.
+
+        With `rows`, that of these points only.
+        """
+        s, length = (of_all[rows] for of_all in self._slide(x))
+        n, limit, stick = self.normal[rows], self.limit[rows], self.stick[rows]
         P = np.eye(3) - n[:, :, None] * n[:, None, :]
-        slipping = self.stick * length > (1 - 1e-6) * self.limit  # a node at its limit goes on
+        slipping = stick * length > (1 - 1e-6) * limit  # a point at its limit goes on
         t = s / np.maximum(length, 1e-300)[:, None]
         across = P - t[:, :, None] * t[:, None, :]
-        slope = self.limit / np.maximum(length, 1e-300)
-        touching = self.limit > 0
+        slope = limit / np.maximum(length, 1e-300)
         H = np.where(
             slipping[:, None, None],
             slope[:, None, None] * across,
-            (touching * self.stick)[:, None, None] * P,
+            ((limit > 0) * stick)[:, None, None] * P,
         )
-        return with_tool_height(H)
+        force = None if convex else s * np.minimum(stick, slope)[:, None]
+        return self.contact.pull_back_stiffness(x, H, force, rows)

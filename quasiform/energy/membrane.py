@@ -57,9 +57,12 @@ class Membrane:
 
     def normals(self, x: FloatArray) -> FloatArray:
         """(n_triangles, 1 or 3) normal times area ratio; in the plane the determinant of F."""
-        f = self.fibres(x)
-        cross = np.cross(*_in_space(f[:, 0], f[:, 1]))
-        return cross if self.dim == 3 else cross[:, 2:]
+        return self.cross(self.fibres(x))
+
+    def cross(self, f: FloatArray) -> FloatArray:
+        """(n, 1 or 3) products of fibre vectors (n, 2, dim)."""
+        product = np.cross(*_in_space(f[:, 0], f[:, 1]))
+        return product if self.dim == 3 else product[:, 2:]
 
     def energy(self, x: FloatArray) -> FloatArray:
         """Energy of each triangle, mJ."""
@@ -99,7 +102,7 @@ class Membrane:
             axis=1,
         )
         S = self.stress(x)
-        S = _clamp(S) if convex else S
+        S = clamp(S) if convex else S
         H = dI.transpose(0, 2, 1) @ ((self.volume[:, None] * W2)[:, :, None] * dI)
         geometric = self.g.transpose(0, 2, 1) @ (self.volume[:, None, None] * S) @ self.g
         blocks = H.reshape(n, 3, dim, 3, dim)
@@ -108,7 +111,7 @@ class Membrane:
         return H
 
 
-def _clamp(S: FloatArray) -> FloatArray:
+def clamp(S: FloatArray) -> FloatArray:
     """Nearest positive semi-definite matrices to symmetric (n, 2, 2) ones, in closed form."""
     mean = 0.5 * (S[:, 0, 0] + S[:, 1, 1])
     spread = np.hypot(0.5 * (S[:, 0, 0] - S[:, 1, 1]), S[:, 0, 1])

@@ -49,20 +49,22 @@ class SheetWeight:
 
 
 class ToolWeight:
-    """Weight of a floating tool: E = m g z.
+    """Weight of a floating tool and what else presses it down: E = P z.
 
     Parameters
     ----------
-    mass : float
-        kg (its share of the modelled part of the sheet).
+    load : float
+        P, N (its share of the modelled part of the sheet).
     height_dof : int
+    name : str
     """
 
-    name = "weight of the blank holder"
-
-    def __init__(self, mass: float, height_dof: int) -> None:
+    def __init__(
+        self, load: float, height_dof: int, name: str = "weight of the blank holder"
+    ) -> None:
+        self.name = name
         self.dofs = np.array([[height_dof]])
-        self.force = 1e3 * GRAVITY * mass
+        self.force = load
 
     def energy(self, x: FloatArray) -> FloatArray:
         """(1,) energy, mJ."""

@@ -126,8 +126,11 @@ def solve(
             reason = f"interrupted between {s:.4g} and {target:.4g} of {scene.travel:.4g}"
             break
         s = target
-        if equilibrium.linear_solves - before <= 30:
-            step = min(2.0 * step, largest)
+        if lost := scene.lost(x):
+            reason = f"at {s:.4g} of {scene.travel:.4g}: {lost}"
+        solves = equilibrium.linear_solves - before
+        if solves <= 200:  # a snap takes as many at any step
+            step = min((2.0 if solves <= 30 else 1.5) * step, largest)
         if s == goal:
             states.append(run.state(x, s))
         if callback:
@@ -312,7 +315,10 @@ class _Run:
             wall_s=wall,
             linear_solves=self.equilibrium.linear_solves,
             increments=len(self.books) - 1,
-            rescues=self.rescues,
+            rescues=self.rescues
+            | (
+                {"friction carried on": carried} if (carried := self.equilibrium.carried_on) else {}
+            ),
             residual=self.equilibrium.residual(g, certified=True),
             settings={
                 "increment": self.increment,

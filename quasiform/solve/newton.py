@@ -45,6 +45,10 @@ class Equilibrium:
         Factorisations so far.
     travel : float
         Where the prescribed degrees of freedom are.
+    carried : float
+        Residual that friction may leave to the next increment where it does not settle.
+    carried_on : int
+        How often it did.
     """
 
     scene: Scene
@@ -53,6 +57,8 @@ class Equilibrium:
     convex: str = "on demand"
     linear_solves: int = 0
     travel: float = 0.0
+    carried: float = 2e-2
+    carried_on: int = 0
     potential: Potential = field(init=False)
     solver: LinearSolver = field(init=False)
     _factored: tuple[FloatArray, bool, int] | None = field(init=False, default=None)
@@ -91,7 +97,7 @@ class Equilibrium:
         """Where the residual is largest, in words."""
         r = np.where(self.scene.fixed, 0.0, g)[: self.scene.n_nodal].reshape(-1, self.scene.dim)
         size = np.linalg.norm(r, axis=1)
-        X = self.scene.blank.nodes[size.argmax()]
+        X = self.scene.to_user(self.scene.blank.nodes[size.argmax()])
         return f"{size.max():.2g} N at X = ({X[0]:.1f}, {X[1]:.1f}) mm"
 
     def factor(
@@ -164,7 +170,7 @@ class Equilibrium:
         membrane = self.scene.membrane
         return bool(((membrane.normals(x) * membrane.normals(trial)).sum(1) <= 0).any())
 
-    def minimise(self, x: FloatArray, max_iterations: int = 120) -> FloatArray:
+    def minimise(self, x: FloatArray, max_iterations: int = 400) -> FloatArray:
         """Newton iterations with the lagged values as they are.
 
         Raises
@@ -224,14 +230,24 @@ class Equilibrium:
             return np.inf
         return self.potential.energy(trial)
 
-    def settle(self, x: FloatArray, passes: int = 12) -> FloatArray:
+    def settle(self, x: FloatArray) -> FloatArray:
         """Minimise and refresh the lagged values until the residual with fresh ones is small.
+
+        The normal forces of friction are a fixed point, which Anderson's mixing (1965) speeds up:
+        the next ones are those at which the changes of the last passes would cancel. After a snap
+        a sheet may still creep for dozens of passes; on the way, the next increment may carry on
+        with the last of it.
 
         Raises
         ------
         NotConvergedError
         """
-        for _ in range(passes):
+        frictions = self.scene.frictions
+        at_end = self.travel >= self.scene.travel * (1 - 1e-12)
+        passes = 60 if at_end else 12
+        used, fresh = [], []  # normal forces that friction was solved with, and those then found
+        for i in range(passes):
+            used.append(np.concatenate([[0.0], *(term.limit for term in frictions)]))
             x = self.minimise(x)
             if not self.scene.remembering:
                 return x
@@ -239,8 +255,21 @@ class Equilibrium:
                 term.refresh(x)
             self._factored = None
             residual = self.residual(self.potential.gradient(x))
-            if residual < 3 * self.tolerance:
+            if residual < (3 if i < 8 else 8) * self.tolerance:
                 return x
+            if not at_end and i >= 6 and residual < self.carried:
+                self.carried_on += 1
+                return x
+            fresh.append(np.concatenate([[0.0], *(term.limit for term in frictions)]))
+            used, fresh = used[-6:], fresh[-6:]
+            if i > 1:
+                F = np.array(fresh)
+                change = F - np.array(used)
+                steps = np.diff(change, axis=0)
+                shares = np.linalg.lstsq(steps.T, change[-1], rcond=1e-6)[0]
+                mixed = np.maximum(F[-1] - shares @ np.diff(F, axis=0), 0.0)[1:]
+                for term in frictions:
+                    term.limit, mixed = np.split(mixed, [len(term.limit)])
         raise NotConvergedError(
             f"friction does not settle in {passes} passes: residual {residual:.1e}", x, residual
         )

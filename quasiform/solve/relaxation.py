@@ -100,6 +100,6 @@ def _masses(equilibrium: Equilibrium, x: FloatArray) -> FloatArray:
     sums = np.ones_like(x)
     sums[~scene.fixed] = rows
     for contact in scene.contacts:
-        stiffness = np.repeat((contact.area * contact.compaction)[:, None], 4, axis=1)
+        stiffness = contact.stiffness_bound(x)
         sums += np.bincount(contact.dofs.ravel(), stiffness.ravel(), minlength=len(x))
     return 0.5 * sums

@@ -1,0 +1,60 @@
+"""Grippers: E = Σ s_i [K/2 (e·u_i)² - T e·u_i] with the motion u of the gripped nodes.
+
+A gripper pulls with the tension T along the direction e, and yields with the stiffness K; s_i are
+the nodes' shares of the gripped edge, which sum to 1.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+FloatArray = np.ndarray
+
+
+class Grip:
+    """A gripper on some nodes of a sheet in space.
+
+    Parameters
+    ----------
+    nodes : (m,) int array
+    shares : (m,) array
+        They sum to 1.
+    start : (m, 3) array
+        Positions at which the gripper pulls with T, mm.
+    direction : (3,) array
+        Unit vector e.
+    tension, stiffness : float
+        T, N, and K, N/mm, of the whole gripper.
+    """
+
+    name = "gripper"
+
+    def __init__(
+        self,
+        nodes: np.ndarray,
+        shares: FloatArray,
+        start: FloatArray,
+        direction: FloatArray,
+        tension: float,
+        stiffness: float,
+    ) -> None:
+        self.dofs = 3 * nodes[:, None] + np.arange(3)
+        self.start, self.direction = start, direction
+        self.tension, self.stiffness = shares * tension, shares * stiffness
+
+    def _motion(self, x: FloatArray) -> FloatArray:
+        return (x[self.dofs] - self.start) @ self.direction
+
+    def energy(self, x: FloatArray) -> FloatArray:
+        """(m,) energy, mJ."""
+        u = self._motion(x)
+        return 0.5 * self.stiffness * u**2 - self.tension * u
+
+    def gradient(self, x: FloatArray) -> FloatArray:
+        """(m, 3) forces, N."""
+        pull = self.stiffness * self._motion(x) - self.tension
+        return pull[:, None] * self.direction
+
+    def hessian(self, x: FloatArray, convex: bool) -> FloatArray:
+        """(m, 3, 3) stiffness, N/mm."""
+        return self.stiffness[:, None, None] * np.outer(self.direction, self.direction)

@@ -1,0 +1,560 @@
+"""Tools from surface files: readers, checks, and a distance with its own derivatives."""
+
+import pickle
+import signal
+import sys
+import warnings
+from pathlib import Path
+
+import meshio
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from quasiform.checks import InputError
+from quasiform.surface import check_surface, from_file, placed, surface_grid
+from quasiform.surface_file import read_surface
+
+pytest.importorskip("igl")
+
+R = 20.0
+BOX = np.array([-30.0] * 3), np.array([30.0] * 3)
+H_STEP = 1e-5
+
+
+def ball(n=60, radius=R):
+    """Vertices and triangles of a sphere between n parallels and 2n meridians, facing outwards."""
+    theta, phi = np.linspace(0, np.pi, n + 1)[1:-1, None], np.arange(2 * n) * np.pi / n
+    ring = np.stack(
+        [np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta) + 0 * phi], -1
+    )
+    vertices = radius * np.vstack([ring.reshape(-1, 3), [[0, 0, 1], [0, 0, -1]]])
+    i, j = np.arange(2 * n), np.roll(np.arange(2 * n), -1)
+    triangles = [np.stack([i, j, 0 * i + len(vertices) - 2], 1)]
+    for row in range(n - 2):
+        a, b = row * 2 * n + i, row * 2 * n + j
+        triangles += [np.stack([a, a + 2 * n, b], 1), np.stack([b, a + 2 * n, b + 2 * n], 1)]
+    last = (n - 2) * 2 * n
+    triangles.append(np.stack([last + i, 0 * i + len(vertices) - 1, last + j], 1))
+    return vertices, np.vstack(triangles)
+
+
+def block(low=(-20, -20, -20), high=(20, 20, 20)):
+    """A closed box of twelve triangles."""
+    vertices = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
+    quads = np.array(
+        [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+    )
+    vertices = np.array(low) + vertices * np.subtract(high, low)
+    return vertices, np.vstack([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+
+
+def plate(n=8, half=20.0):
+    """An open square at z = 0, facing up."""
+    x = np.linspace(-half, half, n + 1)
+    vertices = np.stack([*np.meshgrid(x, x, indexing="ij"), np.zeros((n + 1, n + 1))], -1)
+    i, j = (k.ravel() for k in np.meshgrid(np.arange(n), np.arange(n), indexing="ij"))
+    a = i * (n + 1) + j
+    b, c, d = a + n + 1, a + n + 2, a + 1
+    return vertices.reshape(-1, 3), np.vstack([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+
+
+@pytest.fixture(scope="module")
+def ball_grid():
+    return surface_grid(*ball(), *BOX, 2.0)
+
+
+@pytest.fixture(scope="module")
+def plate_grid():
+    return surface_grid(*plate(), *BOX, 2.0)
+
+
+def differences(function, points):
+    steps = H_STEP * np.eye(3)
+    return np.stack([function(points + s) - function(points - s) for s in steps], -1) / (2 * H_STEP)
+
+
+# ------------------------------------------------------------------------------------ distance
+
+
+@pytest.mark.parametrize("name", ["ball_grid", "plate_grid"])
+def test_normal_and_curvature_are_the_derivatives_of_the_distance(name, request):
+    grid = request.getfixturevalue(name)
+    points = np.random.default_rng(1).uniform(-60.0, 60.0, (4000, 3))
+    kink = np.minimum(np.abs(points - grid.low), np.abs(points - grid.high)).min(1)
+    points = points[kink > 1e-3]
+    assert 100 < ((points > grid.low) & (points < grid.high)).all(1).sum() < 3900
+    d, n, H = grid.distance(points)
+    assert d.shape == (len(points),)
+    assert_allclose(differences(lambda x: grid.distance(x)[0], points), n, atol=1e-8)
+    assert_allclose(differences(lambda x: grid.distance(x)[1], points), H, atol=2e-5)
+    assert np.abs(H).max() > 0.01
+    assert (H == H.transpose(0, 2, 1)).all()
+
+
+def test_ball_is_that_of_the_closed_form(ball_grid):
+    m = np.random.default_rng(2).normal(size=(4000, 3))
+    m /= np.linalg.norm(m, axis=1)[:, None]
+    above = np.linspace(-2.0, 2.0, len(m))
+    d, n, H = ball_grid.distance((R + above)[:, None] * m)
+    chord = R * (1 - np.cos(np.pi / 60) * np.cos(np.pi / 120))
+    assert_allclose(d, above, atol=1.5 * chord)
+    assert_allclose(n, m, atol=0.025)
+    exact = (np.eye(3) - m[:, :, None] * m[:, None, :]) / (R + above)[:, None, None]
+    assert np.abs(H - exact).max() < 0.5 / R
+    assert np.abs(H - exact).mean() < 0.1 / R
+    assert ball_grid.deviation < chord
+
+
+def test_faces_of_a_box_are_flat_and_its_edges_are_rounded():
+    grid = surface_grid(*block(), [-30, -30, -25], [30, 30, 30], 2.0)
+    x, y, z = np.meshgrid(np.linspace(-8, 8, 7), np.linspace(-7, 8, 6), np.linspace(19, 23, 9))
+    points = np.stack([x, y, z], -1).reshape(-1, 3)
+    d, n, H = grid.distance(points)
+    assert_allclose(d, points[:, 2] - 20, atol=2e-3)
+    assert_allclose(n, np.broadcast_to([0, 0, 1], n.shape), atol=2e-3)
+    assert_allclose(H, 0, atol=2e-3)
+    edge = np.stack([np.linspace(-10, 10, 50), 0 * x.ravel()[:50] + 20, 0 * x.ravel()[:50] + 20], 1)
+    d, n, _ = grid.distance(edge)
+    assert np.abs(d).max() < 0.3 * grid.spacing
+    assert_allclose(n[:, 1], n[:, 2], atol=0.2)
+
+
+def test_error_falls_with_the_spacing():
+    surface = ball(80)
+    m = np.random.default_rng(3).normal(size=(2000, 3))
+    m /= np.linalg.norm(m, axis=1)[:, None]
+    mean = []
+    for spacing in (8.0, 4.0):
+        n = surface_grid(*surface, *BOX, spacing).distance(R * m)[1]
+        mean.append(np.linalg.norm(n - m, axis=1).mean())
+    assert mean[1] < mean[0] / 4
+
+
+def test_distance_goes_on_outside_the_box_and_stays_clear(ball_grid):
+    m = np.random.default_rng(4).normal(size=(500, 3))
+    m /= np.linalg.norm(m, axis=1)[:, None]
+    far = 200.0 * m
+    d, n, _ = ball_grid.distance(far)
+    assert (d > 100.0).all()
+    assert (np.einsum("pi,pi->p", n, m) > 0.8).all()
+    for side in (ball_grid.low, ball_grid.high):
+        for axis in range(3):
+            at = np.zeros((2, 3))
+            at[:, axis] = side[axis] + np.array([-1e-9, 1e-9])
+            d, _, _ = ball_grid.distance(at)
+            assert_allclose(d[0], d[1], atol=1e-8)
+
+
+def test_grid_covers_the_tool_or_the_box_whichever_is_smaller():
+    high = np.array([500.0, 500.0, 0.0])
+    grid = surface_grid(*ball(), [-500.0] * 3, high, 3.0, reach=300.0)
+    assert_allclose(grid.box, [[-R - 15] * 3, [R + 15, R + 15, 0.0]], atol=0.1)
+    across = np.array([[R - 1, 0, 0], [R, 0, 0], [0, R + 1, 0]])  # where the box cuts the tool
+    assert_allclose(grid.distance(across)[0], [-1, 0, 1], atol=0.01)
+
+
+def test_distance_leaves_the_points_alone_and_takes_none(ball_grid):
+    points = np.random.default_rng(5).uniform(-60.0, 60.0, (100, 3))
+    before = points.copy()
+    first, second = ball_grid.distance(points), ball_grid.distance(points)
+    assert (points == before).all()
+    for a, b in zip(first, second, strict=True):
+        assert (a == b).all()
+    assert [a.shape for a in ball_grid.distance(np.empty((0, 3)))] == [(0,), (0, 3), (0, 3, 3)]
+
+
+def test_grid_is_the_same_again_and_after_pickling(ball_grid):
+    again = surface_grid(*ball(), *BOX, 2.0)
+    copy = pickle.loads(pickle.dumps(ball_grid))
+    points = np.random.default_rng(6).uniform(-40.0, 40.0, (100, 3))
+    for other in (again, copy):
+        assert (other.coefficients == ball_grid.coefficients).all()
+        for a, b in zip(other.distance(points), ball_grid.distance(points), strict=True):
+            assert (a == b).all()
+
+
+# -------------------------------------------------------------------------------- open surfaces
+
+
+def test_open_plate_has_a_body_below_that_ends_at_its_rim(plate_grid):
+    at = [[1, 2, 3], [1, 2, -3], [1, 2, -6], [26, 1, 1], [26, 1, -8], [24, 24, 0], [17, 0, -9]]
+    expected = [3, -3, -6, np.hypot(6, 1), 6, 4 * np.sqrt(2), -3]
+    d, n, _ = plate_grid.distance(np.array(at, dtype=float))
+    assert_allclose(d, expected, atol=0.05)
+    assert_allclose(n[:3], [[0, 0, 1]] * 3, atol=0.02)
+    assert_allclose(n[4], [1, 0, 0], atol=0.02)  # beside the wall below the rim
+
+
+def test_flip_turns_an_open_surface_round(tmp_path):
+    vertices, triangles = plate()
+    meshio.Mesh(vertices, [("triangle", triangles)]).write(tmp_path / "plate.stl", binary=True)
+    point = np.array([[1.0, 2.0, 3.0]])
+    for flip, sign in ((False, 1), (True, -1)):
+        grid = from_file(tmp_path / "plate.stl", *BOX, flip=flip)
+        assert_allclose(grid.distance(point)[0], 3.0 * sign, atol=1e-3)
+        assert grid.spacing == 2.0
+
+
+def test_holes_count_only_where_the_sheet_can_be():
+    holed = without(plate(4), [5, 21])  # a square of 10 mm
+    check_surface(*holed, [1, -30, -5], [30, 30, 5])
+    with pytest.raises(InputError, match=r"^a hole of 4 edges around \(-5, -5, 0\) mm: close it"):
+        check_surface(*holed, [-30, -30, -5], [30, 30, 5])
+
+
+def test_one_open_end_is_no_hole():
+    vertices, triangles = block()
+    cap = triangles[(vertices[triangles][:, :, 2] > -20).any(1)]
+    check_surface(vertices, cap)
+    d, _, _ = surface_grid(vertices, cap, [-30, -30, -10], [30, 30, 30], 2.0).distance(
+        np.array([[0, 0, 24.0], [0, 0, 17.0], [24, 0, 0], [18, 0, 0]])
+    )
+    assert_allclose(d, [4, -3, 4, -2], atol=0.01)
+
+
+# --------------------------------------------------------------------------------------- checks
+
+
+def turned(surface, rows):
+    vertices, triangles = surface
+    triangles = triangles.copy()
+    triangles[rows] = triangles[rows][:, ::-1]
+    return vertices, triangles
+
+
+def without(surface, rows):
+    return surface[0], np.delete(surface[1], rows, axis=0)
+
+
+@pytest.mark.parametrize(
+    ("surface", "message"),
+    [
+        ((np.zeros((3, 3)), np.empty((0, 3), int)), "^no triangles$"),
+        ((np.eye(3), np.array([[0, 1, 3]])), "a triangle refers to a vertex that is not there"),
+        (
+            (np.array([[0, 0, 0], [1, 0, 0], [0, np.nan, 0]]), np.array([[0, 1, 2]])),
+            "1 vertices are not finite numbers",
+        ),
+        (
+            turned(ball(8), slice(40, 41)),
+            r"3 edges between triangles with opposite normals, one at",
+        ),
+        (
+            (plate()[0], np.vstack([plate()[1], plate()[1][:1]])),
+            r"^2 edges shared by more than two triangles, one at \(.*\) mm",
+        ),
+        (turned(ball(8), slice(None)), "the normals point inwards: set flip = true"),
+        (without(ball(8), [100]), r"a hole of 3 edges around \(.* mm: close it"),
+    ],
+)
+def test_defects_are_named(surface, message):
+    with pytest.raises(InputError, match=message) as refusal:
+        check_surface(*surface)
+    assert "\n" not in str(refusal.value)
+
+
+def test_message_on_inverted_normals_knows_of_flip():
+    with pytest.raises(InputError, match="set flip = false"):
+        check_surface(*turned(ball(8), slice(None)), flip=True)
+
+
+@pytest.mark.parametrize(
+    ("size", "scale", "message"),
+    [
+        (150e-3, 1.0, "0.15 mm across .* 310 mm: is it in metres. set scale = 1000$"),
+        (150e-3, 0.001, "is it in metres. set scale = 1$"),
+        (150e3, 1.0, "1.5e[+]05 mm across .* 310 mm: is it in micrometres. set scale = 0.001$"),
+    ],
+)
+def test_wrong_units_are_noticed(size, scale, message):
+    with pytest.raises(InputError, match=message):
+        check_surface(*ball(8, size / 2), reach=310.0, scale=scale)
+    check_surface(*ball(8, 75.0), reach=310.0)
+
+
+@pytest.mark.parametrize(
+    ("surface", "low", "spacing", "message"),
+    [
+        (ball(8), (100, 100, 100), 2.0, "nowhere near the sheet"),
+        (ball(8), (-30, -30, -30), 0.01, "grid of .* nodes: set spacing = 0.1. or more"),
+        (ball(8), (-30, -30, -30), -1.0, "spacing must be a positive number, got -1"),
+        (block(low=(-20, -20, 19.2)), (-30, -30, -30), 2.0, "that a grid of 2 mm cannot show"),
+    ],
+)
+def test_grid_that_cannot_be_is_refused(surface, low, spacing, message):
+    with pytest.raises(InputError, match=message):
+        surface_grid(*surface, np.array(low), np.add(low, 60), spacing)
+
+
+def test_missing_libigl_is_told(monkeypatch):
+    monkeypatch.setitem(sys.modules, "igl", None)
+    with pytest.raises(InputError, match=r"needs libigl: pip install 'quasiform\[surface\]'"):
+        surface_grid(*ball(8), *BOX, 4.0)
+
+
+# -------------------------------------------------------------------------------------- readers
+
+
+def volume(vertices, triangles):
+    return np.linalg.det(vertices[triangles]).sum() / 6
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("tool.stl", {"binary": False}),
+        ("tool.stl", {"binary": True}),
+        ("tool.STL", {"binary": True, "file_format": "stl"}),
+        ("tool.obj", {}),
+        ("tool.ply", {"binary": False}),
+        ("tool.ply", {"binary": True}),
+        ("tool.vtu", {}),
+        ("tool.vtk", {"binary": True}),
+        ("tool.msh", {"file_format": "gmsh22", "binary": False}),
+        ("tool.msh", {"file_format": "gmsh", "binary": True}),
+    ],
+)
+def test_every_mesh_format_is_read(tmp_path, capfd, name, options):
+    vertices, triangles = block()
+    meshio.Mesh(vertices, [("triangle", triangles.astype(np.int32))]).write(
+        tmp_path / name, **options
+    )
+    capfd.readouterr()
+    before = sorted(tmp_path.iterdir())
+    vertices, triangles = read_surface(tmp_path / name, scale=0.5)
+    assert vertices.shape == (8, 3)
+    assert triangles.shape == (12, 3)
+    assert_allclose(volume(vertices, triangles), 20.0**3, rtol=1e-6)
+    assert sorted(tmp_path.iterdir()) == before
+    assert capfd.readouterr() == ("", "")
+
+
+def test_what_meshio_tells_is_not_passed_on(tmp_path, capfd, monkeypatch):
+    def talkative(_):
+        print("reading")
+        warnings.warn("reading", stacklevel=1)
+        return meshio.Mesh(block()[0], [("triangle", block()[1])])
+
+    monkeypatch.setattr(meshio.stl, "read", talkative)
+    (tmp_path / "tool.stl").touch()
+    assert len(read_surface(tmp_path / "tool.stl")[1]) == 12
+    assert capfd.readouterr() == ("", "")
+
+
+def test_quadrilaterals_are_split_and_other_cells_ignored(tmp_path):
+    points = [[0, 0, 0], [2, 0, 0], [2, 1, 0], [0, 1, 0], [3, 0, 0], [0, 0, 9]]
+    cells = [("quad", [[0, 1, 2, 3]]), ("triangle", [[1, 4, 2]]), ("line", [[0, 5]])]
+    meshio.Mesh(np.array(points, float), cells).write(tmp_path / "tool.vtu")
+    vertices, triangles = read_surface(tmp_path / "tool.vtu")
+    assert vertices.shape == (5, 3)  # the line's end is gone
+    assert triangles.shape == (3, 3)
+    normals = np.cross(*np.diff(vertices[triangles], axis=1).transpose(1, 0, 2))
+    assert_allclose(normals.sum(0), [0, 0, 5])
+    check_surface(vertices, triangles)
+
+
+def test_near_vertices_are_merged_and_degenerate_triangles_dropped(tmp_path):
+    vertices, triangles = ball(8)
+    soup = vertices[triangles].reshape(-1, 3)
+    soup += np.random.default_rng(7).uniform(-1e-6, 1e-6, soup.shape)
+    faces = np.vstack([np.arange(len(soup)).reshape(-1, 3), [[0, 1, 1]]])
+    meshio.Mesh(soup, [("triangle", faces)]).write(tmp_path / "tool.vtu")
+    merged, kept = read_surface(tmp_path / "tool.vtu")
+    assert (len(merged), len(kept)) == (len(vertices), len(triangles))
+    check_surface(merged, kept)
+
+
+def test_placement_scales_moves_then_turns_about_x_then_y_then_z(tmp_path):
+    vertices, triangles = block(low=(0, 0, 0), high=(1, 2, 3))
+    meshio.Mesh(vertices, [("triangle", triangles)]).write(tmp_path / "tool.vtu")
+    vertices, _ = placed(tmp_path / "tool.vtu", 10.0, False, (90, 0, 90), (10.0, 0.0, 0.0))
+    # x: y -> z, z -> -y; then z: x -> y, y -> -x
+    assert_allclose(vertices.min(0), [0, -10, 0], atol=1e-9)
+    assert_allclose(vertices.max(0), [30, 0, 20], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("none.stl", None, "none.stl: No such file"),
+        ("tool.dwg", "", "tool.dwg: unknown kind of surface '.dwg': expected one of .stl, .obj"),
+        ("empty.stl", "", "empty.stl: no triangles"),
+        ("junk.stl", "this is not a surface", "junk.stl: not a readable .stl file: could not"),
+        ("junk.vtu", "<a>", "junk.vtu: not a readable .vtu file: ReadError"),
+        ("junk.ply", "ply", "junk.ply: not a readable .ply file: no end_header"),
+        ("junk.msh", 'SystemCall "touch x";', "junk.msh: not a readable .msh file"),
+        ("tool.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n", "a triangle refers to a vertex"),
+    ],
+)
+def test_unreadable_files_are_refused_by_name(tmp_path, capfd, name, text, message):
+    if text is not None:
+        (tmp_path / name).write_text(text)
+    with pytest.raises(InputError, match=message) as refusal:
+        from_file(tmp_path / name, *BOX)
+    assert str(refusal.value).startswith(str(tmp_path))
+    assert "\n" not in str(refusal.value)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_errors_of_the_surface_name_the_file(tmp_path):
+    vertices, triangles = turned(ball(8), slice(None))
+    meshio.Mesh(vertices, [("triangle", triangles)]).write(tmp_path / "tool.vtu")
+    with pytest.raises(InputError, match=r"tool.vtu: the normals point inwards: set flip = true"):
+        from_file(tmp_path / "tool.vtu", *BOX)
+    assert from_file(tmp_path / "tool.vtu", *BOX, 4.0, flip=True).distance(BOX[:1])[0] > 0
+
+
+# ------------------------------------------------------------------------------------------ CAD
+
+SHAPE = """// it's a "ball"; System of units: mm
+SetFactory("OpenCASCADE");
+R = 20; /* no Merge, no Save */
+Sphere(1) = {0, 0, 0, R};
+Physical Surface("tool", 2) = {1};
+"""
+
+
+@pytest.fixture
+def gmsh(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    return pytest.importorskip("gmsh")
+
+
+@pytest.mark.parametrize("name", ["tool.step", "tool.STP", "tool.iges", "tool.brep"])
+def test_cad_formats_are_meshed(gmsh, tmp_path, capfd, name):
+    gmsh.initialize(readConfigFiles=False, interruptible=False)
+    gmsh.option.setNumber("General.Terminal", 0)
+    gmsh.model.occ.addBox(0, 0, 0, 30, 20, 10)
+    gmsh.model.occ.addCylinder(15, 10, 9, 0, 0, 6, 5)
+    gmsh.model.occ.fuse([(3, 1)], [(3, 2)])
+    gmsh.model.occ.synchronize()
+    gmsh.write(name.lower())
+    gmsh.finalize()
+    Path(name.lower()).rename(name)
+    Path(f"{name}.opt").write_text('SystemCall "touch run";')
+    capfd.readouterr()
+    before, handler = sorted(tmp_path.iterdir()), signal.getsignal(signal.SIGINT)
+    vertices, triangles = read_surface(name)
+    check_surface(vertices, triangles)
+    assert_allclose(volume(vertices, triangles), 6000 + 5 * np.pi * 25, rtol=1e-3)
+    assert_allclose(vertices.max(0) - vertices.min(0), [30, 20, 15], atol=1e-6)
+    assert capfd.readouterr() == ("", "")
+    assert sorted(tmp_path.iterdir()) == before
+    assert signal.getsignal(signal.SIGINT) is handler
+    assert not gmsh.isInitialized()
+
+
+def test_step_in_metres_becomes_mm(gmsh):
+    gmsh.initialize(readConfigFiles=False, interruptible=False)
+    gmsh.option.setNumber("General.Terminal", 0)
+    gmsh.option.setString("Geometry.OCCTargetUnit", "M")
+    gmsh.model.occ.addBox(0, 0, 0, 0.03, 0.02, 0.01)
+    gmsh.model.occ.synchronize()
+    gmsh.write("tool.step")
+    gmsh.finalize()
+    assert_allclose(read_surface("tool.step")[0].max(0), [30, 20, 10], atol=1e-6)
+
+
+def test_geo_is_meshed(gmsh, tmp_path, capfd):
+    Path("tool.geo").write_text(SHAPE)
+    Path("tool.geo.opt").write_text('SystemCall "touch run";')
+    before = sorted(tmp_path.iterdir())
+    grid = from_file("tool.geo", *BOX, 4.0)
+    assert_allclose(grid.distance(np.array([[0.0, 15.0, 20.0]]))[0], 5.0, atol=0.05)
+    assert sorted(tmp_path.iterdir()) == before
+    assert capfd.readouterr() == ("", "")
+
+
+def test_geo_faces_are_turned_outwards(gmsh):
+    Path("tool.geo").write_text(
+        "Point(1) = {0, 0, 0, 9}; Point(2) = {9, 0, 0, 9}; Point(3) = {0, 9, 0, 9};"
+        "Point(4) = {0, 0, 9, 9}; Line(1) = {1, 2}; Line(2) = {2, 3}; Line(3) = {3, 1};"
+        "Line(4) = {1, 4}; Line(5) = {2, 4}; Line(6) = {3, 4};"
+        "Line Loop(1) = {1, 2, 3}; Line Loop(2) = {1, 5, -4}; Line Loop(3) = {2, 6, -5};"
+        "Line Loop(4) = {3, 4, -6};\nFor i In {1:4}\nPlane Surface(i) = {i};\nEndFor\n"
+    )
+    vertices, triangles = read_surface("tool.geo")
+    check_surface(vertices, triangles)
+    assert_allclose(volume(vertices, triangles), 9**3 / 6)
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ('SystemCall "touch run";', "'SystemCall' is refused in a .geo file"),
+        ('System/* */Call "touch run";', "'System' is refused"),
+        ('NonBlockingSystemCall "touch run";', "'NonBlockingSystemCall' is refused"),
+        ('StringToName["SystemCall"] "touch run";', "'StringToName' is refused"),
+        ('OnelabRun("a", "touch run");', "'OnelabRun' is refused"),
+        ('Field[1] = ExternalProcess; Field[1].CommandLine = "touch run";', "'ExternalProcess'"),
+        ("Plugin(MathEval).Run;", "'Plugin' is refused"),
+        ('Include "run";', "'Include' is refused"),
+        ('Merge "run.step";', "'Merge' is refused"),
+        ('Save "run.msh";', "'Save' is refused"),
+        ('Print "run.png";', "'Print' is refused"),
+        ('Printf("hello") > "run";', "'Printf' is refused"),
+        ('CreateDir "run";', "'CreateDir' is refused"),
+        ('Solver.Executable0 = "run";', "'Solver' is refused"),
+        ("Exit;", "'Exit' is refused"),
+        ('Macro("m", "x = 1;") Call m;', "'Macro' is refused"),
+        ('// "\nSystemCall "touch run"; // "', "'SystemCall' is refused"),
+        ('"/*"; SystemCall "touch run"; "*/";', "'SystemCall' is refused"),
+        ("Some 'run';", "text is refused in a .geo file but for names of groups: 'run'"),
+        ('Future "run";', "text is refused in a .geo file but for names of groups"),
+    ],
+)
+def test_geo_that_does_more_than_describe_a_shape_is_refused(tmp_path, monkeypatch, line, message):
+    monkeypatch.chdir(tmp_path)
+    Path("tool.geo").write_text(SHAPE + line)
+    with pytest.raises(InputError, match=message) as refusal:
+        read_surface("tool.geo")
+    assert str(refusal.value).startswith("tool.geo: ")
+    assert [path.name for path in tmp_path.iterdir()] == ["tool.geo"]
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        (
+            "tool.geo",
+            SHAPE + "Sphere(2) = {0, 0",
+            ": gmsh cannot read it: 'tool.geo', line",
+        ),
+        ("tool.geo", "", "tool.geo: gmsh cannot read it"),
+        ("tool.step", "junk", "tool.step: gmsh cannot read it"),
+        ("tool.igs", "junk", "tool.igs: gmsh cannot read it"),
+        ("tool.brep", "junk", "tool.brep: gmsh cannot read it"),
+    ],
+)
+def test_unreadable_cad_is_refused_and_gmsh_is_ready_again(gmsh, capfd, name, text, message):
+    Path(name).write_text(text)
+    for _ in range(2):
+        with pytest.raises(InputError, match=message) as refusal:
+            read_surface(name)
+        assert "\n" not in str(refusal.value)
+    assert capfd.readouterr() == ("", "")
+    assert not gmsh.isInitialized()
+    Path("good.geo").write_text(SHAPE)
+    check_surface(*read_surface("good.geo"))
+
+
+def test_gmsh_in_use_is_left_alone(gmsh):
+    Path("tool.geo").write_text(SHAPE)
+    gmsh.initialize(readConfigFiles=False, interruptible=False)
+    try:
+        with pytest.raises(InputError, match="gmsh is in use by the calling program"):
+            read_surface("tool.geo")
+        assert gmsh.isInitialized()
+    finally:
+        gmsh.finalize()
+
+
+def test_missing_gmsh_is_told(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "gmsh", None)
+    (tmp_path / "tool.step").write_text("")
+    with pytest.raises(
+        InputError, match=r"a .step file needs gmsh: pip install 'quasiform\[cad\]'"
+    ):
+        read_surface(tmp_path / "tool.step")
