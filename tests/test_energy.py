@@ -12,13 +12,15 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
-from quasiform.blank import rectangle
+from quasiform.blank import rectangle, rotation
 from quasiform.energy import Potential, Selective
 from quasiform.energy.bending import Bending
 from quasiform.energy.contact import BLEND, FAR_OFF, LEVER, SAG, Contact, at_edges, at_nodes
 from quasiform.energy.friction import STICK, Friction
 from quasiform.energy.gripper import Grip
 from quasiform.energy.membrane import Membrane
+from quasiform.energy.paired_membrane import PairedMembrane
+from quasiform.energy.patch_bending import PatchBending
 from quasiform.energy.weight import GRAVITY, SheetWeight, ToolWeight
 from quasiform.material import Fabric, ThreeStageLaw
 from quasiform.tool import (
@@ -157,6 +159,25 @@ def membrane(blank, dim, fabric=FABRIC):
     return Case(Membrane(blank, fabric, dim), deformed(blank, dim))
 
 
+def across_fibres():
+    """A mesh at 17 degrees to the fibres: pairs of triangles by cell, but for two left alone."""
+    blank = rectangle(42.0, 30.0, 6.0)
+    cells = np.arange(len(blank.triangles)).reshape(-1, 2)
+    pairs = np.vstack([cells[1:], np.repeat(cells[0], 2).reshape(2, 2)])
+    R = rotation(17.0)
+    return replace(blank, warp=R[:, 0], weft=R[:, 1], pairs=pairs)
+
+
+def paired_membrane(dim):
+    blank = across_fibres()
+    return Case(PairedMembrane(blank, FABRIC, dim), deformed(blank, dim))
+
+
+def patch_bending():
+    blank = across_fibres()
+    return Case(PatchBending(blank, FABRIC), deformed(blank))
+
+
 def bending(blank, clamp=False):
     blank = BLANKS[blank]
     clamped = np.isclose(blank.nodes[:, 0], blank.nodes[:, 0].min()) if clamp else None
@@ -208,6 +229,9 @@ FREE = {
     "membrane in the plane, stiff": lambda: membrane("aligned", 2, STIFF),
     "membrane in space": lambda: membrane("aligned", 3),
     "membrane in space, cut": lambda: membrane("cut", 3),
+    "paired membrane in the plane": lambda: paired_membrane(2),
+    "paired membrane in space": lambda: paired_membrane(3),
+    "patch bending": patch_bending,
     "bending": lambda: bending("aligned"),
     "bending, cut": lambda: bending("cut"),
 }

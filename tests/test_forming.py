@@ -4,19 +4,22 @@ import csv
 from dataclasses import replace
 from functools import cache
 
+import meshio
 import numpy as np
 import pytest
 import shapely
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy.spatial import ConvexHull
 
 import quasiform as qf
 from quasiform import outline, scene_file
+from quasiform.blank import rotation
 from quasiform.energy.bending import Bending
 from quasiform.energy.contact import LEVER
 from quasiform.energy.gripper import Grip
 from quasiform.energy.weight import GRAVITY, SheetWeight, ToolWeight
 from quasiform.measure import percentile
-from quasiform.scene_file import Gripper, SceneFile, Support, Where
+from quasiform.scene_file import Gripper, SceneFile, Support, SurfaceFile, Where
 from quasiform.tool import (
     Plane,
     ball,
@@ -221,6 +224,28 @@ def test_a_blank_at_45_degrees_is_the_square_of_the_user():
     assert max(result.draw_in.values()) < 0.05
 
 
+@pytest.mark.parametrize("orientation", [90.0, -45.0])
+def test_tools_are_turned_into_the_axes_of_the_model(orientation):
+    """The distance of a place of the user's is the same, seen from the model."""
+    azimuth = 0.0 if orientation == 90.0 else 135.0  # an edge of the punch stays on a mirror plane
+    place = rotation(azimuth) @ [20.0, 0.0]
+    tip = tetrahedron_punch(150.0, 160.0, 20.0, azimuth)
+    file = changed(tools={"punch": {"shape": tip, "place": tuple(place)}})
+    scene = qf.forming(file, orientation, size=30, travel=20.0)
+    assert scene.turn == orientation
+    assert len(scene.blank.mirror) == 1
+    rng = np.random.default_rng(0)
+    points = np.column_stack([rng.uniform(-120.0, 120.0, (500, 2)), rng.uniform(-30.0, 30.0, 500)])
+    seen = points.copy()
+    seen[:, :2] = points[:, :2] @ rotation(scene.turn)
+    assert_allclose(scene.to_user(seen[:, :2]), points[:, :2], atol=1e-9)
+    for part, contact in zip(file.tools, scene.contacts, strict=False):
+        tool = contact.tool
+        assert tool.name == part.name
+        d = part.shape.distance(points - [*part.place, 0.0])[0]
+        assert_allclose(tool.shape.distance(seen - [*tool.place, 0.0])[0], d, atol=1e-9)
+
+
 def test_turning_everything_about_a_round_punch_changes_nothing_but_the_axes():
     straight, turned = formed(travel=5.0), formed(travel=5.0, turn=30.0)
     assert turned.force == pytest.approx(straight.force, rel=1e-9)
@@ -288,6 +313,71 @@ def test_a_hole_keeps_its_outline_and_takes_a_mirror_plane_away():
     assert shapely.Polygon(outer[:, :2]).contains(shapely.Polygon(hole[:, :2]))
     assert result.draw_in["+x"] != pytest.approx(result.draw_in["-x"], rel=1e-6)
     assert result.draw_in["+y"] == pytest.approx(result.draw_in["-y"], rel=1e-6)
+
+
+# Meshes and tools from files
+
+
+def own_mesh(path, blank, **parts):
+    """A scene on the mesh of a blank, written in metres."""
+    points = np.pad(blank.nodes / 1000.0, ((0, 0), (0, 1)))
+    meshio.write(path, meshio.Mesh(points, [("triangle", blank.triangles)]))
+    return changed(mesh=path, mesh_scale=1000.0, outline=shapely.Polygon(), **parts)
+
+
+def test_a_mesh_along_the_fibres_from_a_file_gives_the_same_answer(tmp_path):
+    cut = solved("hemisphere", travel=1.0, size=30.0, symmetry="none")
+    own = solved(own_mesh(tmp_path / "mesh.vtu", cut.scene.blank), travel=1.0, size=None)
+    assert own.scene.blank.pairs is None
+    assert own.force == pytest.approx(cut.force, rel=1e-9)
+    assert own.draw_in == pytest.approx(cut.draw_in, rel=1e-6, abs=1e-12)
+    assert own.scene.coarser is None
+
+
+def test_meshes_that_do_not_follow_the_fibres_are_told(tmp_path):
+    blank = qf.forming(size=30, symmetry="none").blank
+    for file in (
+        changed(mesh="free"),
+        changed(mesh="free", orientation=30.0),
+        own_mesh(tmp_path / "mesh.vtu", blank, orientation=30.0),
+    ):
+        scene = qf.forming(file, size=30)
+        assert scene.blank.pairs is not None
+        assert scene.blank.mirror == ()
+        assert scene.share == 1.0
+        assert scene.blank.areas.sum() == pytest.approx(310.0**2)
+        assert "fibre strains shared by pairs of triangles" in words_of(scene)
+        assert "a quarter" not in words_of(scene)
+        c, s = rotation(scene.parameters["orientation"])[:, 0]
+        assert_allclose(scene.to_user(scene.blank.warp), [c, s], atol=1e-12)
+
+
+def test_a_punch_from_a_file_forms_as_the_one_in_closed_form(tmp_path):
+    """A ball of facets, on a coarse grid, beside the exact one."""
+    steps = np.linspace(0.0, 2 * np.pi, 96, endpoint=False), np.linspace(0.0, np.pi, 49)[1:-1]
+    around, down = (grid.ravel() for grid in np.meshgrid(*steps))
+    corners = np.column_stack(
+        [np.sin(down) * np.cos(around), np.sin(down) * np.sin(around), np.cos(down)]
+    )
+    corners = np.vstack([corners, [[0, 0, 1], [0, 0, -1]]])
+    path = tmp_path / "ball.stl"
+    meshio.write(path, meshio.Mesh(corners, [("triangle", outward(ConvexHull(corners)))]))
+    file = SurfaceFile(path, scale=75.0, spacing=5.0)
+    results = [
+        solved(changed(tools={"punch": {"shape": shape}}), travel=1.0, size=30.0)
+        for shape in (file, scene_file.load("hemisphere").tools[0].shape)
+    ]
+    assert results[0].force == pytest.approx(results[1].force, rel=0.02)
+    assert p99(results[0]) == pytest.approx(p99(results[1]), rel=0.02)
+
+
+def outward(hull):
+    """Triangles of a hull, turned so that their normals point outwards."""
+    triangles = hull.simplices.copy()
+    legs = hull.points[triangles[:, 1:]] - hull.points[triangles[:, :1]]
+    inward = np.einsum("ij,ij->i", np.cross(legs[:, 0], legs[:, 1]), hull.equations[:, :3]) < 0
+    triangles[inward] = triangles[inward, ::-1]
+    return triangles
 
 
 # Tools that rest on the sheet
