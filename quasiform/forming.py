@@ -126,7 +126,7 @@ class _Build:
         self._check_size()
         self.tools = [self._tool(part) for part in file.tools]
         self._check_clearance()
-        mirror = self._mirror_planes() if own is None else ()
+        mirror = self._mirror_planes()
         self.frame = self.orientation + self.turn if mirror else 0.0
         self.tools = [self._in_frame(tool) for tool in self.tools]
         blank = own.turned(self.turn) if own else self._mesh(mirror)
@@ -226,6 +226,9 @@ class _Build:
         """Planes along the fibres that map blank and tools onto themselves, in the fibres' axes."""
         if self.symmetry == "none":
             self.model.append(("the whole blank", "symmetry is switched off"))
+            return ()
+        if self.file.mesh != "fibre":
+            self.model.append(("the whole blank", "the mesh does not follow the fibres"))
             return ()
         if self.file.supports or self.file.grippers:
             self.model.append(("the whole blank", "mirror planes are not sought with supports"))
