@@ -354,7 +354,7 @@ def test_meshes_that_do_not_follow_the_fibres_are_told(tmp_path):
 
 def test_a_punch_from_a_file_forms_as_the_one_in_closed_form(tmp_path):
     """A ball of facets, on a coarse grid, beside the exact one."""
-    steps = np.linspace(0.0, 2 * np.pi, 96, endpoint=False), np.linspace(0.0, np.pi, 49)[1:-1]
+    steps = np.linspace(0.0, 2 * np.pi, 48, endpoint=False), np.linspace(0.0, np.pi, 25)[1:-1]
     around, down = (grid.ravel() for grid in np.meshgrid(*steps))
     corners = np.column_stack(
         [np.sin(down) * np.cos(around), np.sin(down) * np.sin(around), np.cos(down)]
@@ -367,8 +367,8 @@ def test_a_punch_from_a_file_forms_as_the_one_in_closed_form(tmp_path):
         solved(changed(tools={"punch": {"shape": shape}}), travel=1.0, size=30.0)
         for shape in (file, scene_file.load("hemisphere").tools[0].shape)
     ]
-    assert results[0].force == pytest.approx(results[1].force, rel=0.02)
-    assert p99(results[0]) == pytest.approx(p99(results[1]), rel=0.02)
+    assert results[0].force == pytest.approx(results[1].force, rel=5e-3)
+    assert p99(results[0]) == pytest.approx(p99(results[1]), rel=5e-3)
 
 
 def outward(hull):
@@ -606,7 +606,7 @@ def test_supports_fix_the_directions_that_they_name():
 # What a result tells beside the numbers
 
 
-def test_doubts_are_told_by_reason_and_in_one_field():
+def test_doubts_are_told_by_reason():
     result = formed()
     reasons = ["beyond_identified_range", "unstable_in_shear", "collapsed", "rovings_may_slip"]
     doubts = result.doubts()
@@ -614,8 +614,6 @@ def test_doubts_are_told_by_reason_and_in_one_field():
     assert all(
         flag.dtype == bool and len(flag) == len(result.shear_angle) for flag in doubts.values()
     )
-    field = result.cell_fields()["doubt"]
-    assert_array_equal(field, sum(2**bit * flag for bit, flag in enumerate(doubts.values())))
     summary = result.summary()
     assert list(summary["doubtful_share"]) == reasons
     assert summary["doubtful_share"]["collapsed"] == 0.0
@@ -624,6 +622,20 @@ def test_doubts_are_told_by_reason_and_in_one_field():
     beyond = replace(result, scene=narrow).doubts()["beyond_identified_range"]
     assert_array_equal(beyond, np.abs(result.shear_angle) > 0.5)
     assert beyond.any()
+
+
+def test_doubts_add_up_in_one_field():
+    """1, 2, 4 and 8 in their order; a node is moved past its neighbours to have them all."""
+    result = formed()
+    x = result.states[0].x.copy()
+    moved = np.linalg.norm(result.scene.blank.nodes - 60.0, axis=1).argmin()
+    x[3 * moved : 3 * moved + 2] += 18.0
+    folded = replace(result, states=[*result.states[:-1], replace(result.states[-1], x=x)])
+    doubts = folded.doubts()
+    assert all(flag.any() and not flag.all() for flag in doubts.values())
+    field = folded.cell_fields()["doubt"]
+    for value, flag in zip((1, 2, 4, 8), doubts.values(), strict=True):
+        assert_array_equal(field.astype(int) & value > 0, flag)
 
 
 def test_wrinkles_of_a_sheet_that_lies_flat_under_its_holder():
