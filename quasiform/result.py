@@ -179,10 +179,10 @@ class Result:
                 above = np.abs(n[:, 2]) > 0.99
                 if above.any():
                     lift = max(lift, float((d - contact.reach - contact.points.sag)[above].max()))
-        bending = next(term for term in scene.terms if hasattr(term, "curvature"))
+        curvatures = [np.abs(t.curvature(x)).max() for t in scene.terms if hasattr(t, "curvature")]
         return {
             "flange_lift_mm": lift,
-            "largest_curvature_1_per_mm": float(np.abs(bending.curvature(x)).max()),
+            **({"largest_curvature_1_per_mm": float(max(curvatures))} if curvatures else {}),
         }
 
     def resting_tools(self) -> dict[str, dict[str, float | list[float]]]:

@@ -454,8 +454,9 @@ class _Reader:
                 raise InputError(f"{name}: unit must be {unit!r}, got {value['unit']!r}")
             self.standings[name] = _standing(value, name)
             value = value.get("value")
-        if signed and type(value) in (int, float):
-            check_number(name, abs(value), zero_allowed=True)
+        if signed:
+            if type(value) not in (int, float) or not abs(value) < 1e100:
+                raise InputError(f"{name} must be a number, got {value!r}")
             return float(value)
         return float(check_number(name, value, zero_allowed=zero))
 

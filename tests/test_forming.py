@@ -247,7 +247,7 @@ def test_tools_are_turned_into_the_axes_of_the_model(orientation):
 
 
 def test_turning_everything_about_a_round_punch_changes_nothing_but_the_axes():
-    straight, turned = formed(travel=5.0), formed(travel=5.0, turn=30.0)
+    straight, turned = formed(travel=3.0), formed(travel=3.0, turn=30.0)
     assert turned.force == pytest.approx(straight.force, rel=1e-9)
     assert turned.draw_in == pytest.approx(straight.draw_in, rel=1e-6)
     assert turned.areas == pytest.approx(straight.areas, rel=1e-6)
@@ -277,14 +277,7 @@ def test_outline_is_closed_and_runs_around_the_sheet(tmp_path):
     assert_allclose(np.array(rows, dtype=float)[:, 1:], loop, rtol=1e-5, atol=1e-5)
 
 
-# A disc with a hole beside its middle
-
-
-@cache
-def disc_with_hole():
-    hole = outline.disc(12.0, (125.0, 0.0))
-    file = changed(outline=outline.with_holes(outline.disc(150.0), [hole]))
-    return solved(file, travel=5.0)
+# Discs
 
 
 def test_draw_in_of_a_disc_by_direction():
@@ -305,7 +298,9 @@ def test_draw_in_of_a_disc_by_direction():
 
 
 def test_a_hole_keeps_its_outline_and_takes_a_mirror_plane_away():
-    result = disc_with_hole()
+    hole = outline.disc(12.0, (125.0, 0.0))
+    file = changed(outline=outline.with_holes(outline.disc(150.0), [hole]))
+    result = solved(file, travel=2.0)
     assert result.scene.blank.mirror == ("y",)
     outer, hole = result.outline()
     assert_array_equal(hole[0], hole[-1])
@@ -468,13 +463,13 @@ def test_friction_of_a_tool_stands_over_that_of_the_fabric():
 
 
 def test_gravity_acts_on_the_modelled_part():
-    result = solved(changed(gravity=True), travel=5.0)
+    result = solved(changed(gravity=True), travel=3.0)
     (weight,) = (term for term in result.scene.terms if isinstance(term, SheetWeight))
     total = 1e-6 * GRAVITY * 600.0 * 310.0**2
     assert weight.force.sum() == pytest.approx(0.25 * total)
     assert result.certified is True
     assert "weight of the sheet left out" not in words_of(result.scene)
-    without = formed(travel=5.0)
+    without = formed(travel=3.0)
     assert f"weight of the sheet left out: {total:.2g} N beside the 49" in words_of(without.scene)
     # it helps the punch, by what lies over the opening at most
     assert 0 < without.force - result.force < np.pi * 90**2 / 310**2 * total

@@ -567,7 +567,11 @@ REFUSED = {
         "radius = 50.0\nplace = ['a', 2]",
         ["[tools.punch] place = ['a', 2]", "expected 2 numbers"],
     ),
-    "z": ("radius = 50.0", "radius = 50.0\nz = 'high'", ["tools.punch.z must be", "'high'"]),
+    "z": (
+        "radius = 50.0",
+        "radius = 50.0\nz = 'high'",
+        ["tools.punch.z must be a number", "'high'"],
+    ),
     "mass of a punch": (
         "radius = 50.0",
         "radius = 50.0\nmass = 2.0",

@@ -5,6 +5,7 @@ import pytest
 
 import quasiform as qf
 from quasiform import theory
+from quasiform.energy.bending import Bending
 from quasiform.energy.membrane import Membrane
 
 
@@ -61,6 +62,15 @@ def test_a_sheet_without_bending_stiffness_is_refused():
     fabric = qf.Fabric(bending_warp=0.0)
     with pytest.raises(qf.InputError, match="bending stiffness"):
         qf.forming(law=fabric)
+
+
+def test_a_scene_by_hand_without_bending_is_told_and_saved(tmp_path):
+    scene = qf.forming(size=30, travel=1.0)
+    scene.terms = [term for term in scene.terms if not isinstance(term, Bending)]
+    result = qf.solve(scene, estimate=False)
+    assert result.status == "completed"
+    assert result.summary()["wrinkles"]["flange_lift_mm"] >= 0.0
+    result.save(tmp_path / "out", pictures=False)
 
 
 class Spring:
