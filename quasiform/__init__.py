@@ -13,7 +13,8 @@ from .blank import Blank, rectangle
 from .checks import InputError
 from .experiments import cantilever, off_axis_tension, picture_frame
 from .forming import forming
-from .material import Fabric, ThreeStageLaw
+from .identification import Identification, identify
+from .material import Fabric, TabulatedLaw, ThreeStageLaw
 from .progress import progress
 from .result import Result
 from .scene import Scene
@@ -23,14 +24,17 @@ from .tool import Tool
 __all__ = [
     "Blank",
     "Fabric",
+    "Identification",
     "InputError",
     "Progress",
     "Result",
     "Scene",
+    "TabulatedLaw",
     "ThreeStageLaw",
     "Tool",
     "cantilever",
     "forming",
+    "identify",
     "off_axis_tension",
     "picture_frame",
     "progress",

@@ -16,10 +16,16 @@ from math import isfinite
 from pathlib import Path
 from typing import Any, NoReturn
 
+import numpy as np
+
 from .checks import InputError, check_number, suggestion
 from .experiments import off_axis_tension
 from .files import FILES, INCREMENTS, check_folder
 from .forming import forming
+from .identification import Identification, identify
+from .identification.campaign import KINDS, METHODS, Campaign, load
+from .identification.fit import ALGORITHMS, NAMES
+from .identification.identified import FILES as MATERIAL_FILES
 from .material import PRESETS
 from .progress import LiveProgress
 from .result import Result, package_version
@@ -45,12 +51,15 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: argparse.Namespace) -> int:
+    return arguments.run(arguments)
+
+
+def _solve(arguments: argparse.Namespace) -> int:
     scene = arguments.scene_of(arguments)
     if arguments.dry_run:
         _say(_describe(scene))
         return 0
-    case = re.sub(r"[^\w.+-]+", "-", scene.name).lstrip(".-") or "result"
-    folder = check_folder(arguments.out or _unused(case), force=arguments.force)
+    folder = check_folder(arguments.out or _unused(_case(scene.name)), force=arguments.force)
     _say(f"writing to {folder}")
     _say(_describe(scene))
     with LiveProgress(scene.travel) as callback:
@@ -62,6 +71,26 @@ def _run(arguments: argparse.Namespace) -> int:
         written.append(f"{len(result.states)} {INCREMENTS}")
     _say(f"files in {folder}: {', '.join(written)}")
     return 0 if result.status == "completed" else 3
+
+
+def _identify(arguments: argparse.Namespace) -> int:
+    folder = arguments.out or _unused(_case(arguments.file.stem) + "-fabric")
+    check_folder(folder, force=arguments.force, names=MATERIAL_FILES)
+    names = ("kind", "length", "width", "angle", "side", "thickness", "method", "keep")
+    names += ("algorithm", "size", "name")
+    given = {name: getattr(arguments, name) for name in names}
+    campaign = load(arguments.file, **{k: v for k, v in given.items() if v is not None})
+    if arguments.dry_run:
+        _say(_campaign(campaign))
+        return 0
+    _say(f"writing to {folder}")
+    _say(_campaign(campaign))
+    found = identify(campaign)
+    found.save(folder, force=arguments.force)
+    _say(_identified(found))
+    written = [name for name in MATERIAL_FILES if (folder / name).exists()]
+    _say(f"files in {folder}: {', '.join(written)}")
+    return 0
 
 
 # Arguments
@@ -86,6 +115,7 @@ def _arguments(argv: Sequence[str]) -> argparse.Namespace:
     commands = parser.add_subparsers(dest="command", metavar="COMMAND")
     _add_oat(commands)
     _add_form(commands)
+    _add_identify(commands)
     # the options before a command take no value, so the first word without a dash is the command
     command = next((word for word in argv if not word.startswith("-")), None)
     if command is not None and command not in commands.choices:
@@ -156,13 +186,53 @@ def _add_form(commands: Any) -> None:
     )
 
 
-def _add_common(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--increment",
-        type=_positive,
-        metavar="MM",
-        help="travel of an increment (chosen by the program)",
+def _add_identify(commands: Any) -> None:
+    parser = commands.add_parser(
+        "identify",
+        help="test data to a material file",
+        description="A material file from off-axis tension, picture-frame and cantilever tests.",
+        allow_abbrev=False,
     )
+    parser.add_argument(
+        "file", type=_path, metavar="FILE", help="CSV of one test, or TOML of several (see README)"
+    )
+    parser.add_argument(
+        "--method", type=_one_of(*METHODS), metavar="|".join(METHODS), help="(the file's, or fit)"
+    )
+    parser.add_argument(
+        "--keep",
+        type=_kept,
+        metavar="NAME=VALUE,...",
+        help="parameters that are not fitted, such as C_lo=1000,I_lo=0.819",
+    )
+    parser.add_argument(
+        "--algorithm",
+        type=_one_of(*ALGORITHMS),
+        metavar="|".join(ALGORITHMS),
+        help="of the fit (least-squares)",
+    )
+    parser.add_argument("--name", metavar="NAME", help="of the fabric (the file's)")
+    kinds = "|".join(KINDS)
+    parser.add_argument(
+        "--kind", type=_one_of(*KINDS), metavar=kinds, help="of a CSV file's test (off-axis)"
+    )
+    for option, unit, text in (
+        ("--angle", "DEG", "angle between load and warp (45)"),
+        ("--length", "MM", "free length of the strip (320)"),
+        ("--width", "MM", "width of the strip (160)"),
+        ("--side", "MM", "side of the picture frame (100)"),
+        ("--thickness", "MM", "of the fabric (1.004)"),
+        ("--size", "MM", "inverse: cell edge of the finite-element test (14)"),
+    ):
+        parser.add_argument(option, type=_positive, metavar=unit, help=text)
+    _add_out(parser)
+    parser.add_argument(
+        "--dry-run", action="store_true", help="read the tests, tell what is in them; write nothing"
+    )
+    parser.set_defaults(run=_identify)
+
+
+def _add_out(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out",
         type=_path,
@@ -170,6 +240,17 @@ def _add_common(parser: argparse.ArgumentParser) -> None:
         help="folder of the result (a new one named after the case)",
     )
     parser.add_argument("--force", action="store_true", help="replace the result in --out")
+
+
+def _add_common(parser: argparse.ArgumentParser) -> None:
+    parser.set_defaults(run=_solve)
+    parser.add_argument(
+        "--increment",
+        type=_positive,
+        metavar="MM",
+        help="travel of an increment (chosen by the program)",
+    )
+    _add_out(parser)
     parser.add_argument(
         "--dry-run", action="store_true", help="print the model; solve and write nothing"
     )
@@ -207,6 +288,23 @@ def _degrees(text: str) -> float:
     raise argparse.ArgumentTypeError(f"expected a number of degrees, got '{text}'")
 
 
+def _kept(text: str) -> dict[str, float]:
+    kept = {}
+    for entry in text.split(","):
+        name, _, value = entry.partition("=")
+        if name.strip() not in NAMES:
+            raise argparse.ArgumentTypeError(
+                f"unknown parameter '{name.strip()}': {suggestion(name.strip(), NAMES)}"
+            )
+        try:
+            kept[name.strip()] = float(value)
+        except ValueError:
+            raise argparse.ArgumentTypeError(
+                f"expected NAME=VALUE,... such as I_lo=0.819, got '{entry}'"
+            ) from None
+    return kept
+
+
 def _path(text: str) -> Path:
     if not text:
         raise argparse.ArgumentTypeError("expected the name of a folder, got ''")
@@ -233,6 +331,11 @@ def _add_number(
     parser.add_argument(
         option, type=check, default=default, metavar=unit, help=f"{text} ({default:g})"
     )
+
+
+def _case(name: str) -> str:
+    """Name of a folder for a case."""
+    return re.sub(r"[^\w.+-]+", "-", name).lstrip(".-") or "result"
 
 
 def _unused(name: str) -> Path:
@@ -299,6 +402,40 @@ def _report(result: Result) -> str:
         [f"{summary['status']} at {reached}{reason}"]
         + [f"  {name:<15}{value}" for name, value in rows.items()]
     )
+
+
+def _campaign(campaign: Campaign) -> str:
+    rows = [f"{campaign.name}: {METHODS[campaign.method]}"]
+    for test in campaign.shear:
+        gamma = np.degrees(test.forces(campaign.fabric.thickness).angles[0])
+        rows.append(
+            f"  {test.name}: {len(gamma)} rows, shear angle {gamma.min():.1f} to "
+            f"{gamma.max():.1f} deg, force to {test.curve.force.max():.4g} "
+            + ("N/mm" if test.curve.per_length else "N")
+        )
+        rows += [f"    {notice}" for notice in test.curve.notices]
+    for family, stiffness in campaign.bending.items():
+        rows.append(f"  cantilever, {family}: {stiffness.value:.4g} N mm")
+    return "\n".join(rows)
+
+
+def _identified(found: Identification) -> str:
+    rows = []
+    for p in found.parameters:
+        interval = f"{p.low:.4g} to {p.high:.4g}" if p.low == p.low else "-"
+        rows.append(f"  {p.name:<15}{p.value:<11.5g}{p.unit:<6}{interval:<24}{p.state}")
+    if found.curve is not None:
+        misfit = found.fabric.provenance["force_misfit_percent"]
+        rows.append(
+            f"  tested from {found.curve.low:.1f} to {found.curve.high:.1f} degrees of shear, "
+            f"forces within {misfit:g} % (root mean square)"
+        )
+    if found.fitted is not None:
+        first, third = found.fitted.stages
+        rows.append(f"  first stage to {first:.1f} degrees, third from {third:.1f} degrees")
+    read = {notice for test in found.campaign.shear for notice in test.curve.notices}
+    notes = [f"  note: {notice}" for notice in found.notices if notice not in read]
+    return "\n".join(["identified, with 95 % intervals", *rows, *notes])
 
 
 def _pairs(table: dict[str, Any], form: str) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -22,7 +22,7 @@ FILES = (
 )
 
 
-def check_folder(out: str | Path, *, force: bool = False) -> Path:
+def check_folder(out: str | Path, *, force: bool = False, names: Sequence[str] = FILES) -> Path:
     """Check that a result can be written to a folder; nothing is made, nothing is touched.
 
     Parameters
@@ -30,6 +30,8 @@ def check_folder(out: str | Path, *, force: bool = False) -> Path:
     out : path
     force : bool
         Whether the folder may hold a result already.
+    names : sequence of str
+        Files that make a result.
 
     Raises
     ------
@@ -39,7 +41,7 @@ def check_folder(out: str | Path, *, force: bool = False) -> Path:
     with _writing_to(folder):
         if folder.exists() and not folder.is_dir():
             raise InputError(f"cannot write to {folder}: it is not a folder")
-        held = _held(folder)
+        held = _held(folder, names)
         if held and not force:
             raise InputError(
                 f"{folder} holds a result already ({held[0].name}): "
@@ -51,7 +53,9 @@ def check_folder(out: str | Path, *, force: bool = False) -> Path:
 
 
 @contextmanager
-def replaced(out: str | Path, *, force: bool = False) -> Iterator[Path]:
+def replaced(
+    out: str | Path, *, force: bool = False, names: Sequence[str] = FILES
+) -> Iterator[Path]:
     """Yield an empty folder whose files take the place of the result in `out` at the end.
 
     An old result stays complete until the new one is.
@@ -61,7 +65,7 @@ def replaced(out: str | Path, *, force: bool = False) -> Iterator[Path]:
     InputError
         As `check_folder`.
     """
-    folder = check_folder(out, force=force)
+    folder = check_folder(out, force=force, names=names)
     with (
         _writing_to(folder),
         _made(folder),
@@ -69,16 +73,16 @@ def replaced(out: str | Path, *, force: bool = False) -> Iterator[Path]:
     ):
         yield Path(staging)
         new = {path.name for path in Path(staging).iterdir()}
-        old = [path for path in _held(folder) if path.name not in new]
+        old = [path for path in _held(folder, names) if path.name not in new]
         for name in sorted(new):
             os.replace(Path(staging, name), folder / name)
         for path in old:
             path.unlink(missing_ok=True)
 
 
-def _held(folder: Path) -> list[Path]:
-    named = [folder / name for name in FILES if (folder / name).exists()]
-    return named + sorted(folder.glob(INCREMENTS))
+def _held(folder: Path, names: Sequence[str]) -> list[Path]:
+    named = [folder / name for name in names if (folder / name).exists()]
+    return named + (sorted(folder.glob(INCREMENTS)) if names is FILES else [])
 
 
 @contextmanager

@@ -4,7 +4,8 @@ Strain energy W(C) = W4(I4) + W6(I6) + W8(I8) per reference volume (Schäfer et 
 
     I4 = a0·C·a0,  I6 = a0·C·b0,  I8 = b0·C·b0                       (Eqs. 1-3)
 
-in the warp direction a0 and the weft direction b0. Each W_i follows the three-stage law of Eq. 9.
+in the warp direction a0 and the weft direction b0. Each W_i follows the three-stage law of Eq. 9;
+W6 may come from a table instead.
 Two corrections to the printed equations: the shear angle needs the root, γ = arcsin(I6/√(I4 I8)),
 and the derivative of Eq. 9 carries the sign of I - I0 (W is even, so dW/dI is odd).
 
@@ -13,12 +14,17 @@ Everything here works on plain arrays; no mesh is needed.
 
 from __future__ import annotations
 
+import json
+import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
+from functools import cached_property
+from numbers import Integral, Real
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import BPoly
 
 from .checks import InputError, check_keys, check_number, read_toml, suggestion
 
@@ -149,6 +155,139 @@ class ThreeStageLaw:
         return It, self.C_ini / self.dS_mid, np.maximum(x - It, 0.0), np.maximum(x - self.I_lo, 0.0)
 
 
+@dataclass(frozen=True)
+class TabulatedLaw:
+    """Shear law through the points of a table, with a smooth and positive stiffness.
+
+    With x = |I - I0| the stress is sgn(I - I0) S(x), S the quintic through values, slopes m and
+    second derivatives s at the knots: C², so that the stiffness is C¹. On an interval of width h
+    and secant D = ΔS/h the stiffness is the quartic of the Bernstein coefficients::
+
+        m0,  m0 + s0 h/4,  5 D - 2 m0 - 2 m1 - (s0 - s1) h/4,  m1 - s1 h/4,  m1
+
+    whose mean is D. None is negative, hence S' > 0, if at every knot
+
+        m > 0,  m0 + m1 <= 5/2 D on both sides,
+        -min(4 m/h_right, 2 q_left/h_left) <= s <= min(4 m/h_left, 2 q_right/h_right)
+
+    with q = 5 D - 2 m0 - 2 m1 >= 0, half of which either end may take from the middle one. Both
+    derivatives come from parabolas, of S for m and of m for s. A slope shrinks by the smaller of
+    the factors 5/2 D/(m0 + m1) < 1 of its two intervals, which does no harm to the other one; s is
+    clipped to its bounds. At zero S is odd, s = 0; at the end s = 0 too, and S goes on as a
+    straight line of 1/4 to 5/4 of the last secant.
+
+    Parameters
+    ----------
+    I6 : (n,) sequence
+        Invariant I6, dimensionless, strictly increasing from 0 to at most 1.5; n >= 4. The origin
+        may be left out.
+    S12 : (n,) sequence
+        Stress dW/dI6, MPa, strictly increasing from 0.
+
+    Raises
+    ------
+    InputError
+        For a table that is too short or not increasing; the message names the entry.
+    """
+
+    I6: tuple[float, ...]
+    S12: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        for name in ("I6", "S12"):
+            object.__setattr__(self, name, _increasing(name, getattr(self, name)))
+        if len(self.I6) != len(self.S12):
+            raise InputError(
+                f"I6 and S12 must be of one length, got {len(self.I6)} and {len(self.S12)} numbers"
+            )
+        if self.I6[0] == 0 and self.S12[0] != 0:
+            raise InputError(f"S12[0] must be 0, where I6[0] = 0, got {self.S12[0]!r}")
+        if self.I6[0] > 0:
+            check_number(f"S12[0], where I6[0] = {self.I6[0]!r},", self.S12[0])
+            object.__setattr__(self, "I6", (0.0, *self.I6))
+            object.__setattr__(self, "S12", (0.0, *self.S12))
+        if self.I6[-1] > 1.5:
+            raise InputError(f"I6 = sin(shear angle) must not exceed 1.5, got {self.I6[-1]!r}")
+        if len(self.I6) < 4:
+            raise InputError(
+                f"a tabulated law needs at least 4 points with the origin, got {len(self.I6)}"
+            )
+
+    @property
+    def linear(self) -> bool:
+        """False: the stiffness follows the table."""
+        return False
+
+    def energy(self, I: FloatArray, I0: float = 0.0) -> FloatArray:
+        """W(I) in mJ/mm³ = MPa, zero at I0; same shape as `I`."""
+        inside, beyond = self._split(I - I0)
+        stiffness, stress, energy = self._curves
+        later = (stress(self.I6[-1]) + 0.5 * stiffness(self.I6[-1]) * beyond) * beyond
+        return energy(inside) + later
+
+    def stress(self, I: FloatArray, I0: float = 0.0) -> FloatArray:
+        """dW/dI in MPa, with the sign of I - I0; same shape as `I`."""
+        inside, beyond = self._split(I - I0)
+        stiffness, stress, _ = self._curves
+        return np.sign(I - I0) * (stress(inside) + stiffness(self.I6[-1]) * beyond)
+
+    def stiffness(self, I: FloatArray, I0: float = 0.0) -> FloatArray:
+        """d²W/dI² in MPa, positive everywhere; same shape as `I`."""
+        inside, _ = self._split(I - I0)
+        return self._curves[0](inside)[()]
+
+    def _split(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """|x| up to the end of the table, and what lies beyond."""
+        inside = np.minimum(np.abs(x), self.I6[-1])
+        return inside, np.abs(x) - inside
+
+    @cached_property
+    def _curves(self) -> tuple[BPoly, BPoly, BPoly]:
+        """Stiffness, stress and energy within the table."""
+        h, D = np.diff(self.I6), np.diff(self.S12) / np.diff(self.I6)
+        end = D[-1] + (D[-1] - D[-2]) * h[-1] / (h[-1] + h[-2])
+        m = np.concatenate([D[:1], _parabola(h, D), [np.clip(end, D[-1] / 4, 5 * D[-1] / 4)]])
+        allowed = np.minimum(2.5 * D / (m[:-1] + m[1:]), 1.0)
+        m *= np.minimum(np.append(allowed, 1.0), np.append(1.0, allowed))
+        q = np.maximum(5 * D - 2 * m[:-1] - 2 * m[1:], 0.0)
+        s = np.zeros_like(m)
+        s[1:-1] = np.clip(
+            _parabola(h, np.diff(m) / h),
+            -np.minimum(4 * m[1:-1] / h[1:], 2 * q[:-1] / h[:-1]),
+            np.minimum(4 * m[1:-1] / h[:-1], 2 * q[1:] / h[1:]),
+        )
+        left, right = s[:-1] * h / 4, s[1:] * h / 4
+        middle = np.maximum(q - left + right, 0.0)  # round-off
+        stiffness = BPoly([m[:-1], m[:-1] + left, middle, m[1:] - right, m[1:]], self.I6)
+        stress = stiffness.antiderivative()
+        return stiffness, stress, stress.antiderivative()
+
+
+def _parabola(h: FloatArray, D: FloatArray) -> FloatArray:
+    """(n - 1,) slopes at the inner knots of parabolas through three points.
+
+    `h` and `D` are the (n,) widths and secants of the intervals.
+    """
+    return (h[1:] * D[:-1] + h[:-1] * D[1:]) / (h[1:] + h[:-1])
+
+
+def _increasing(name: str, values: Any) -> tuple[float, ...]:
+    """Return a sequence as a tuple of numbers, none negative, strictly increasing."""
+    if isinstance(values, str | Mapping) or not np.iterable(values):
+        raise InputError(f"{name} must be a list of numbers, got {values!r}")
+    numbers: list[float] = []
+    for i, value in enumerate(values):
+        numbers.append(float(check_number(f"{name}[{i}]", value, zero_allowed=True)))
+        if i and numbers[i] <= numbers[i - 1]:
+            raise InputError(
+                f"{name}[{i}] must be greater than {name}[{i - 1}] = {numbers[i - 1]!r}, "
+                f"got {numbers[i]!r}"
+            )
+    if not numbers:
+        raise InputError(f"{name} must be a list of numbers, got none")
+    return tuple(numbers)
+
+
 _TENSION = ThreeStageLaw(C_ini=1000.0)
 _MD600_SHEAR = {"C_ini": 0.334, "S_ini": 0.00386, "C_mid": 0.00196, "dS_mid": 0.0399}
 
@@ -160,7 +299,7 @@ class Fabric:
     Parameters
     ----------
     name : str
-    shear : ThreeStageLaw
+    shear : ThreeStageLaw or TabulatedLaw
         W6 as a function of I6, MPa.
     warp, weft : ThreeStageLaw
         W4 and W8 as functions of I4 and I8, MPa. With C_ini = 1000 the fibre modulus is 4000 MPa.
@@ -181,6 +320,8 @@ class Fabric:
         the shear at 45° in bands one element wide, and the peak depends on mesh and increments.
     shear_range : float
         Shear angle up to which the shear law follows the tests, degrees (MD600: about 57, stated).
+    provenance : mapping of str to str, int, float or bool
+        Where the numbers come from; it travels with them and has no effect.
 
     Raises
     ------
@@ -189,7 +330,7 @@ class Fabric:
     """
 
     name: str = "MD600 locking"
-    shear: ThreeStageLaw = field(
+    shear: ThreeStageLaw | TabulatedLaw = field(
         default_factory=lambda: ThreeStageLaw(**_MD600_SHEAR, C_lo=1000.0, I_lo=0.819)
     )
     warp: ThreeStageLaw = _TENSION
@@ -202,10 +343,22 @@ class Fabric:
     compaction: float = 40.0
     in_plane_bending: float = 1.0
     shear_range: float = 57.0
+    provenance: Mapping[str, str | float] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str):
             raise InputError(f"Fabric(name=...) must be a text, got {self.name!r}")
+        if not isinstance(self.shear, ThreeStageLaw | TabulatedLaw):
+            raise InputError(
+                "Fabric(shear=...) must be a ThreeStageLaw or a TabulatedLaw, "
+                f"got {type(self.shear).__name__}"
+            )
+        for name in ("warp", "weft"):
+            if not isinstance(getattr(self, name), ThreeStageLaw):
+                raise InputError(
+                    f"Fabric({name}=...) must be a ThreeStageLaw, "
+                    f"got {type(getattr(self, name)).__name__}"
+                )
         if (
             check_number("Fabric(in_plane_bending=...)", self.in_plane_bending, zero_allowed=True)
             > 1
@@ -221,6 +374,7 @@ class Fabric:
             "in_plane_bending",
         ):
             check_number(f"Fabric({name}=...)", getattr(self, name), zero_allowed=True)
+        object.__setattr__(self, "provenance", _provenance(self.provenance))
 
     @staticmethod
     def preset(name: str) -> Fabric:
@@ -256,13 +410,10 @@ class Fabric:
         lines, tables = [], []
         for key, value in asdict(self).items():
             if isinstance(value, dict):
-                tables.append(f"\n[{key}]")
-                tables += [f"{k} = {float(v)!r}" for k, v in value.items() if v is not None]
-            elif isinstance(value, str):
-                escaped = value.replace("\\", "\\\\").replace('"', '\\"')
-                lines.append(f'{key} = "{escaped}"')
+                entries = [f"{_key(k)} = {_toml(v)}" for k, v in value.items() if v is not None]
+                tables += [f"\n[{key}]", *entries] if entries else []
             else:
-                lines.append(f"{key} = {float(value)!r}")
+                lines.append(f"{key} = {_toml(value)}")
         Path(path).write_text("\n".join(lines + tables) + "\n", encoding="utf-8")
 
 
@@ -290,13 +441,63 @@ def _fabric(table: Mapping[str, Any]) -> Fabric:
         if key in ("shear", "warp", "weft"):
             if not isinstance(value, Mapping):
                 raise InputError(f"{key} = {value!r}: expected a table [{key}]")
-            check_keys(value, [f.name for f in fields(ThreeStageLaw)], key)
-            if "C_ini" not in value:
-                raise InputError(f"[{key}]: C_ini missing")
-            try:
-                arguments[key] = ThreeStageLaw(**value)
-            except InputError as error:
-                raise InputError(f"[{key}] {error}") from error
+            arguments[key] = _law(key, value)
         else:
             arguments[key] = value
     return Fabric(**arguments)
+
+
+def _law(key: str, table: Mapping[str, Any]) -> ThreeStageLaw | TabulatedLaw:
+    stages, points = ([f.name for f in fields(law)] for law in (ThreeStageLaw, TabulatedLaw))
+    check_keys(table, stages + points if key == "shear" else stages, key)
+    given = [name for name in table if name in points]
+    if given and len(given) < len(table):
+        stage = next(name for name in table if name in stages)
+        raise InputError(
+            f"[{key}] {given[0]} is of a table, {stage} of a three-stage law: give one of the two"
+        )
+    missing = [name for name in (points if given else ["C_ini"]) if name not in table]
+    if missing:
+        raise InputError(f"[{key}]: {missing[0]} missing")
+    try:
+        return TabulatedLaw(**table) if given else ThreeStageLaw(**table)
+    except InputError as error:
+        raise InputError(f"[{key}] {error}") from error
+
+
+def _provenance(given: Any) -> dict[str, str | float]:
+    """Return a copy of plain texts, numbers and truth values; refuse anything else."""
+    if not isinstance(given, Mapping):
+        raise InputError(f"provenance must be a table of texts and numbers, got {given!r}")
+    plain: dict[str, str | float] = {}
+    for key, value in given.items():
+        if not isinstance(key, str):
+            raise InputError(f"a key of provenance must be a text, got {key!r}")
+        if isinstance(value, str):
+            plain[key] = str(value)
+        elif isinstance(value, bool | np.bool_):
+            plain[key] = bool(value)
+        elif isinstance(value, Integral):
+            plain[key] = int(value)
+        elif isinstance(value, Real) and np.isfinite(value):
+            plain[key] = float(value)
+        else:
+            raise InputError(
+                f"provenance '{key}' must be a text, a finite number or true or false, "
+                f"got {value!r}"
+            )
+    return plain
+
+
+def _key(name: str) -> str:
+    return name if re.fullmatch("[A-Za-z0-9_-]+", name) else _toml(name)
+
+
+def _toml(value: str | float | tuple[float, ...]) -> str:
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(_toml, value))}]"
+    if isinstance(value, str):  # the escapes of JSON are TOML's, which has one more to make
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, bool):
+        return str(value).lower()
+    return repr(int(value) if isinstance(value, Integral) else float(value))

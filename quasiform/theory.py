@@ -13,6 +13,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import OdeSolution, solve_bvp, solve_ivp
+from scipy.optimize import OptimizeResult
 
 Law = Callable[[NDArray], NDArray]
 
@@ -266,7 +267,37 @@ def heavy_elastica(k: float) -> tuple[float, float, float]:
     RuntimeError
         If the boundary-value problem is not solved to tolerance.
     """
-    return _cantilever(k, lambda s: 1 - s)
+    slope, _, x, drop = _cantilever(k, _weight_beyond).y[:, -1].tolist()
+    return x, drop, slope
+
+
+def heavy_elastica_shape(k: float, s: ArrayLike) -> tuple[NDArray, NDArray]:
+    """Curve of the strip of `heavy_elastica`.
+
+    Parameters
+    ----------
+    k : float
+        ``w L^3 / B`` with weight per length w [N/mm], length L [mm], bending stiffness B [N mm^2].
+    s : array_like, shape (...)
+        Stations along the strip from the clamp over the length L, between 0 and 1.
+
+    Returns
+    -------
+    x, drop : ndarray, shape (...)
+        Reach and drop of the stations over the length L.
+
+    Raises
+    ------
+    ValueError
+        If k is negative or not finite, or a station lies off the strip.
+    RuntimeError
+        If the boundary-value problem is not solved to tolerance.
+    """
+    s = np.asarray(s, dtype=float)
+    if not np.all((s >= 0) & (s <= 1)):
+        raise ValueError(f"s must lie between 0 and 1, got {np.min(s):g} to {np.max(s):g}")
+    _, _, x, drop = _cantilever(k, _weight_beyond).sol(s)
+    return x, drop
 
 
 def tip_loaded_elastica(k: float) -> tuple[float, float]:
@@ -289,12 +320,20 @@ def tip_loaded_elastica(k: float) -> tuple[float, float]:
     RuntimeError
         If the boundary-value problem is not solved to tolerance.
     """
-    x, w, _ = _cantilever(k, np.ones_like)
+    _, _, x, w = _cantilever(k, np.ones_like).y[:, -1].tolist()
     return 1 - x, w
 
 
-def _cantilever(k: float, load_beyond: Callable[[NDArray], NDArray]) -> tuple[float, float, float]:
-    """Solve theta'' = -k load_beyond(s) cos(theta), theta(0) = theta'(1) = 0, over s in [0, 1]."""
+def _weight_beyond(s: NDArray) -> NDArray:
+    """Weight of the strip beyond the station s over its whole weight."""
+    return 1 - s
+
+
+def _cantilever(k: float, load_beyond: Callable[[NDArray], NDArray]) -> OptimizeResult:
+    """Solve theta'' = -k load_beyond(s) cos(theta), theta(0) = theta'(1) = 0, over s in [0, 1].
+
+    The states of the solution are theta, theta', x and drop.
+    """
     if not 0 <= k < np.inf:
         raise ValueError(f"the load parameter k must be finite and not negative, got {k}")
 
@@ -320,8 +359,7 @@ def _cantilever(k: float, load_beyond: Callable[[NDArray], NDArray]) -> tuple[fl
             f"elastica with k = {k:g} not solved after {solution.niter} iterations: residual "
             f"{solution.rms_residuals.max():.1e}, tolerance {tolerance:.0e}; take a smaller k"
         )
-    slope, _, x, drop = (float(value) for value in solution.y[:, -1])
-    return x, drop, slope
+    return solution
 
 
 def hemisphere_net(a: ArrayLike, b: ArrayLike, radius: float) -> NDArray:

@@ -654,8 +654,13 @@ def blocks(language):
 @pytest.mark.usefixtures("unsolved")
 def test_the_commands_of_the_readme_are_accepted(capsys, here):
     pytest.importorskip("igl")
-    (part,) = blocks("toml")
+    part, campaign = blocks("toml")
     (here / "my-part.toml").write_text(part, encoding="utf-8")
+    u = np.linspace(0.0, 30.0, 40)
+    table = "\n".join(["u [mm];F [N]", *(f"{a:.4f};{4 * a**0.5:.4f}" for a in u)])
+    for name in ("my-test", "oat-1", "oat-2", "oat-3", "frame"):
+        (here / f"{name}.csv").write_text(table, encoding="utf-8")
+    (here / "my-fabric.toml").write_text(campaign, encoding="utf-8")
     a, z = np.radians(np.arange(0, 360, 10)), np.radians(np.arange(-80, 81, 10))
     ring = np.stack(
         np.broadcast_arrays(
@@ -671,10 +676,12 @@ def test_the_commands_of_the_readme_are_accepted(capsys, here):
     )
     lines = [line for block in blocks("sh") for line in block.splitlines()]
     commands = [
-        match[1] for line in lines if (match := re.search(r"\bquasiform ((oat|form).*)", line))
+        match[1]
+        for line in lines
+        if (match := re.search(r"\bquasiform ((oat|form|identify).*)", line))
     ]
     assert len(commands) >= 3
-    for command in commands:
+    for command in [*commands, "identify my-fabric.toml"]:
         assert main([*shlex.split(command), "--dry-run"]) == 0, capsys.readouterr().err
 
 

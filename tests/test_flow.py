@@ -21,7 +21,8 @@ FLOW = """
     result
     solve
     experiments forming theory
-    identify compare export plot progress study
+    plot
+    identification compare export progress study
     report
     cli
     __main__

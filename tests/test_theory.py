@@ -13,6 +13,7 @@ from quasiform.theory import (
     OffAxisTension,
     capstan_ratio,
     heavy_elastica,
+    heavy_elastica_shape,
     hemisphere_bias,
     hemisphere_net,
     picture_frame_displacement,
@@ -289,6 +290,30 @@ def test_heavy_elastica_limits():
     assert 0 < x < 0.005
     assert 0.998 < drop < 1
     assert_allclose(slope, np.pi / 2, rtol=1e-12)
+
+
+@pytest.mark.parametrize("k", [0.5, 8.0042, 300.0])
+def test_heavy_elastica_shape(k):
+    """Unit speed from a horizontal clamp to the tip; the moment carries the weight beyond."""
+    s = np.linspace(0, 1, 2001)
+    x, drop = heavy_elastica_shape(k, s)
+    assert_allclose([x[0], drop[0]], 0, atol=1e-12)
+    assert_allclose([x[-1], drop[-1]], heavy_elastica(k)[:2], rtol=1e-12)
+    slope = np.arctan2(np.diff(drop), np.diff(x))
+    assert_allclose(np.hypot(np.diff(x), np.diff(drop)), s[1], rtol=k * s[1])
+    curvature = np.diff(slope) / s[1]
+    arm = np.array([((x[i:] - x[i]).mean()) * (1 - s[i]) for i in range(1, len(s) - 1)])
+    assert_allclose(curvature, k * arm, atol=1e-3 * k)
+
+
+def test_heavy_elastica_shape_limits():
+    """Beam theory for small k: drop = k (6 s^2 - 4 s^3 + s^4) / 24; any shape of stations."""
+    s = np.linspace(0, 1, 12).reshape(3, 4)
+    x, drop = heavy_elastica_shape(1e-3, s)
+    assert_allclose(x, s, atol=1e-7)
+    assert_allclose(drop, 1e-3 * (6 * s**2 - 4 * s**3 + s**4) / 24, atol=1e-9)
+    with pytest.raises(ValueError, match=r"s must lie between 0 and 1, got 0 to 1\.1"):
+        heavy_elastica_shape(1, [0, 1.1])
 
 
 @pytest.mark.parametrize(

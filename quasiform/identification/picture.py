@@ -1,0 +1,107 @@
+"""Picture of an identification: S12 over the shear angle as in Fig. 2 b of Schäfer et al."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..material import PRESETS, Fabric
+from ..plot import DPI, FIRST, SECOND, STYLE, WIDTH
+from .specimen import OffAxis
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from .identified import Identification
+
+PRESET_STYLE = {"best-fit": "--", "locking": ":"}
+MARKERS = "os^Dv<>"
+SHOWN = 60  # points a test
+
+
+def save_picture(identification: Identification, path: str | Path) -> None:
+    """Draw S12 with its band, the law and both parameter sets of the paper; and the forces."""
+    from matplotlib import rc_context
+    from matplotlib.figure import Figure
+
+    with rc_context(STYLE):
+        figure = Figure(figsize=(WIDTH, 3.2), layout="constrained")
+        stress, forces = figure.subplots(1, 2)
+        _draw_stress(stress, identification)
+        _draw_forces(forces, identification)
+        campaign, curve = identification.campaign, identification.curve
+        misfit = identification.fabric.provenance["force_misfit_percent"]
+        figure.suptitle(
+            f"{campaign.name} · {campaign.standing} data · "
+            f"{identification.fabric.provenance['method']}\n"
+            f"tested from {curve.low:.1f}° to {curve.high:.1f}°, "
+            f"forces within {misfit:g} % (root mean square)",
+            parse_math=False,
+        )
+        figure.savefig(path, dpi=DPI)
+
+
+def _draw_stress(axes: Axes, identification: Identification) -> None:
+    campaign, curve = identification.campaign, identification.curve
+    gamma = np.linspace(curve.low, curve.high, 300)
+    I6 = np.minimum(np.sin(np.radians(gamma)), curve.spline.t[-1])
+    S, half = curve.stress(I6), 2.0 * curve.deviation(I6)
+    for test, marker in zip(campaign.shear, MARKERS, strict=False):
+        angle, value = _apparent(identification, test)
+        label = f"{campaign.standing}: {test.name}"
+        axes.plot(angle, value, marker, color="0.55", markersize=2.2, mew=0, label=label)
+    axes.fill_between(gamma, S - half, S + half, color=FIRST, alpha=0.2, lw=0)
+    axes.plot(gamma, S, color=FIRST, label="energy method, 95 %")
+    if identification.fitted is not None:
+        law = identification.fabric.shear
+        axes.plot(gamma, law.stress(I6), color=SECOND, label="fitted law")
+    top = 1.15 * S.max()
+    for name in PRESETS:
+        preset = Fabric.preset(name)
+        beyond = np.linspace(0.0, max(curve.high, 60.0), 400)
+        value = preset.shear.stress(np.sin(np.radians(beyond)))
+        style = {"ls": PRESET_STYLE[name], "color": "0.25", "lw": 0.8}
+        axes.plot(beyond, value, label=f"{preset.name} (paper)", **style)
+    axes.set(xlabel="shear angle γ [°]", ylabel="$S_{12}$ [MPa]", ylim=(0, top))
+    axes.set_xlim(0, max(curve.high, 60.0))
+    axes.legend(loc="upper left")
+
+
+def _apparent(identification: Identification, test: object) -> tuple[np.ndarray, np.ndarray]:
+    """Stress of single rows: what is left of the force for the zone of full shear."""
+    curve = identification.curve
+    forces = test.forces(
+        identification.fabric.thickness, identification.campaign.method == "as-printed"
+    )
+    others = curve.stress(np.minimum(np.sin(forces.angles[1:]), curve.spline.t[-1]))
+    value = (forces.force - (forces.shares[1:] * others).sum(0)) / forces.shares[0]
+    shown = np.unique(np.linspace(0, len(value) - 1, SHOWN).astype(int))
+    return np.degrees(forces.angles[0])[shown], value[shown]
+
+
+def _draw_forces(axes: Axes, identification: Identification) -> None:
+    campaign, fabric = identification.campaign, identification.fabric
+    per_length = [test.curve.per_length for test in campaign.shear]
+    for test, marker in zip(campaign.shear, MARKERS, strict=False):
+        forces = test.forces(fabric.thickness, campaign.method == "as-printed")
+        angle = np.degrees(forces.angles[0])
+        shown = np.unique(np.linspace(0, len(angle) - 1, SHOWN).astype(int))
+        strip = isinstance(test.specimen, OffAxis)
+        kind = f"off-axis {test.specimen.angle:g}°" if strip else "frame"
+        points = {"color": "0.55", "markersize": 2.2, "mew": 0}
+        label = f"{kind}, {campaign.standing}"
+        axes.plot(angle[shown], forces.force[shown], marker, label=label, **points)
+        fine = np.linspace(angle.min(), angle.max(), 200)
+        shares, angles = (
+            np.array([np.interp(fine, angle, row) for row in rows])
+            for rows in (forces.shares, forces.angles)
+        )
+        predicted = (shares * fabric.shear.stress(np.sin(angles))).sum(0)
+        axes.plot(fine, predicted, color=SECOND, label=f"{kind}, power balance")
+    unit = "N/mm" if all(per_length) else "N" if not any(per_length) else "N, frames N/mm"
+    axes.set(xlabel="shear angle γ [°]", ylabel=f"force [{unit}]")
+    axes.set_xlim(left=0)
+    axes.set_ylim(bottom=0)
+    axes.legend(loc="upper left")

@@ -1,0 +1,594 @@
+"""Measured curves of off-axis tension and picture-frame tests, read from a laboratory's CSV.
+
+What a machine exports becomes the loading part of the test with a standard deviation for each
+force: unloading and tearing are cut, slack is cut and its end becomes zero, noise is estimated.
+Everything inferred, converted, cut or shifted is told in `Curve.notices`; what cannot be decided
+is refused.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import pi
+from pathlib import Path
+
+import numpy as np
+
+from ..checks import InputError, check_keys, suggestion
+
+FloatArray = np.ndarray
+Row = tuple[int, bool, list[str]]  # line number, whether a comment, cells
+
+FEWEST = 8  # rows of a curve
+UNSTRAINED = 0.25  # of the force at the slope of the start: below, the displacement has an offset
+BACK = 0.02  # of the range; going back further is no jitter
+DROP = 0.2  # of the largest force; a specimen whose force drops by more is torn
+SMALL = 0.02  # of the largest force: near zero, and where relative noise becomes absolute
+OFFSET = 0.05  # of the largest force; a constant level above is friction, not a load cell's offset
+NAMES = {
+    "displacement": "displacement disp extension elongation crosshead stroke travel weg "
+    "verschiebung traverse u d",
+    "force": "force load kraft f standardkraft",
+    "shear_angle": "shearangle gamma γ angle scherwinkel",
+    "shear_force": "shearforce normalisedshearforce normalizedshearforce fsh",
+}
+UNITS = {  # mm, N, rad, N/mm each; the first is assumed where none is declared
+    "displacement": {"mm": 1.0, "m": 1e3, "cm": 10.0, "um": 1e-3, "µm": 1e-3, "in": 25.4},
+    "force": {"N": 1.0, "kN": 1e3, "cN": 1e-2, "lbf": 4.4482216152605},
+    "shear_angle": {"deg": pi / 180, "°": pi / 180, "rad": 1.0},
+    "shear_force": {"N/mm": 1.0, "N/m": 1e-3, "kN/m": 1.0},
+}
+_QUANTITY = {name: quantity for quantity, names in NAMES.items() for name in names.split()}
+_UNIT = "|".join(sorted((re.escape(u) for known in UNITS.values() for u in known), key=len)[::-1])
+_NAME_UNIT = (  # what a heading may look like, its name and its unit
+    re.compile(r"(.+?)\s*[\[(]\s*([^\])]*?)\s*[\])]"),  # Force [N]
+    re.compile(rf"(.+?)(?:\s+in)?[\s_/,:]+({_UNIT})", re.IGNORECASE),  # force_N, Kraft in N
+    re.compile(r"([^/]+?)\s*/\s*(\S+)"),  # Force/kp
+)
+_NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf)", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Curve:
+    """The loading part of a test, in mm, radians and N.
+
+    Parameters
+    ----------
+    force : (n,) array
+        N, or N/mm where `per_length`.
+    displacement : (n,) array or None
+        mm, increasing strictly from zero or above.
+    shear_angle : (n,) array or None
+        rad, measured optically; increasing strictly where there is no displacement.
+    sigma : (n,) array
+        Standard deviation of the force, in its unit.
+    per_length : bool
+        Whether the force is the normalised shear force t0 S12 of a picture frame.
+    notices : tuple of str
+        What was inferred, converted, cut or shifted, a sentence each.
+    """
+
+    force: FloatArray
+    displacement: FloatArray | None
+    shear_angle: FloatArray | None
+    sigma: FloatArray
+    per_length: bool = False
+    notices: tuple[str, ...] = ()
+
+
+def read(
+    path: str | Path,
+    columns: Mapping[str, str] | None = None,
+    units: Mapping[str, str] | None = None,
+) -> Curve:
+    """Read the loading part of a test from a CSV file.
+
+    The columns are separated by semicolons, tabs, blanks or commas, with a decimal point or
+    comma; lines before the heading are skipped, a line of units may follow it. A force or a
+    shear_force is needed, and a displacement or a shear_angle; other columns are ignored.
+
+    Parameters
+    ----------
+    path : path
+    columns : mapping, optional
+        Heading, or position counted from "1", of a quantity whose heading is not recognised or
+        not the only one. A file without headings needs the positions of all it is read for.
+    units : mapping, optional
+        Unit of a quantity, over what the file says: mm, m, cm, um, in; N, kN, cN, lbf; deg, rad;
+        N/mm, N/m, kN/m.
+
+    Returns
+    -------
+    Curve
+
+    Raises
+    ------
+    InputError
+        Naming the file and its defect, in one line.
+    """
+    notices: list[str] = []
+    columns, units = dict(columns or {}), dict(units or {})
+    try:
+        check_keys(columns, NAMES, "columns")
+        check_keys(units, NAMES, "units")
+        rows = _rows(_text(Path(path)))
+        places, declared, first = _places(rows, columns)
+        values, lines = _numbers(rows[first:], places)
+        for quantity in values:
+            unit = units.get(quantity) or declared.get(quantity)
+            values[quantity] *= _factor(quantity, unit, values[quantity], notices)
+        return _loading(values, lines, notices)
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or error}") from error
+    except (csv.Error, InputError) as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def mean_of(curves: Sequence[Curve]) -> Curve:
+    """Mean of repeats of one test over the displacement (or shear angle) they have in common.
+
+    Its sigma is the standard error of the mean: the relative scatter between the repeats, averaged
+    over a moving fifth of the range, but at least their own noise, over the root of their number.
+
+    Raises
+    ------
+    InputError
+        For different quantities, or without a common range.
+    """
+    if not curves:
+        raise InputError("mean_of needs at least one curve")
+    if len(curves) == 1:
+        return curves[0]
+    if len({(c.per_length, c.displacement is None) for c in curves}) > 1:
+        raise InputError(
+            "repeats must have the same quantities, got "
+            + " and ".join(dict.fromkeys(_quantities(c) for c in curves))
+        )
+    along = "shear_angle" if curves[0].displacement is None else "displacement"
+    xs = [getattr(c, along) for c in curves]
+    low, high = max(x[0] for x in xs), min(x[-1] for x in xs)
+    if not low < high:
+        spans = ", ".join(f"{_told(along, x[0])} to {_told(along, x[-1])}" for x in xs)
+        raise InputError(f"repeats have no {_label(along)} in common: {spans}")
+    n, pairs = len(curves), list(zip(xs, curves, strict=True))
+    grid = np.linspace(low, high, int(np.median([len(x) for x in xs])))
+
+    def on_grid(name: str) -> FloatArray:
+        return np.array([np.interp(grid, x, getattr(c, name)) for x, c in pairs])
+
+    forces = on_grid("force")
+    force = forces.mean(axis=0)
+    size = np.maximum(force, SMALL * force.max())
+    window = np.ones(max(1, len(grid) // 5))
+    square = (forces.std(axis=0, ddof=1) / size) ** 2
+    pooled = np.convolve(square, window, "same") / np.convolve(np.ones(len(grid)), window, "same")
+    noise = (on_grid("sigma") ** 2).mean(axis=0)
+    notices = dict.fromkeys(notice for c in curves for notice in c.notices)
+    angles = all(c.shear_angle is not None for c in curves)
+    return Curve(
+        force,
+        grid if along == "displacement" else None,
+        on_grid("shear_angle").mean(axis=0) if angles else None,
+        np.sqrt(np.maximum(pooled * size**2, noise) / n),
+        curves[0].per_length,
+        (*notices, f"{n} repeats, scatter {100 * np.sqrt(square.mean()):.1f} %"),
+    )
+
+
+def _quantities(curve: Curve) -> str:
+    along = "shear angle" if curve.displacement is None else "displacement"
+    return f"{'shear force' if curve.per_length else 'force'} over {along}"
+
+
+def _text(path: Path) -> str:
+    content = path.read_bytes()
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = content.decode("latin-1")
+    if re.search("[\x00-\x08\x0e-\x1f]", text):
+        raise InputError("not a text file: expected CSV in UTF-8 or Latin-1")
+    return text
+
+
+# From text to numbers
+
+
+def _rows(text: str) -> list[Row]:
+    """Rows that are not blank, by the separator that gives most rows of numbers.
+
+    Where two do, the earlier is right: in "1,5;2,5" the commas are decimal signs.
+    """
+    lines = [(k, s.strip(" ")) for k, s in enumerate(re.split("\r\n|\r|\n", text), 1) if s.strip()]
+    best, number = None, 0
+    for separator in (";", "\t", None, ","):
+        count = sum(_numeric(_split(line, separator)) for _, line in lines)
+        if count > number:
+            best, number = separator, count
+    if not number:
+        raise InputError("no rows of two or more numbers")
+    lines = [(k, line.lstrip("#% "), line[0] in "#%") for k, line in lines]
+    rows = [(k, comment, _split(line, best)) for k, line, comment in lines]
+    if best is None:  # a heading may hold blanks, and prose as many words as there are columns
+        widths = [len(cells) for _, _, cells in rows if _numeric(cells)]
+        width = max(set(widths), key=widths.count)
+        rows = [
+            (k, comment, cells if _numeric(cells) else _heading(line, width))
+            for (k, comment, cells), (_, line, _) in zip(rows, lines, strict=True)
+        ]
+    return rows
+
+
+def _heading(line: str, width: int) -> list[str]:
+    """Cells of a line between columns of blanks: all of it is one where their number is wrong."""
+    joined = re.sub(r"\s+(?=[\[(])", "", line)
+    for cells in (re.split(r"\s{2,}", line), _split(joined, None), _split(line, None)):
+        if len(cells) == width:
+            return cells
+    return [line]
+
+
+def _split(line: str, separator: str | None) -> list[str]:
+    if separator is None:
+        cells = [cell.strip('"') for cell in re.findall(r'"[^"]*"|\S+', line)]
+    else:
+        cells = next(csv.reader([line], delimiter=separator, skipinitialspace=True))
+        cells = [cell.strip() for cell in cells]
+    while cells and not cells[-1]:
+        cells.pop()
+    return cells
+
+
+def _numeric(cells: list[str]) -> bool:
+    return sum(bool(_NUMBER.fullmatch(cell)) for cell in cells) > 1
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[\s_.-]", "", name).casefold()
+
+
+def _name_unit(heading: str) -> tuple[str, str | None]:
+    """Name, without blanks and in small letters, and unit of a heading such as Force [kN]."""
+    if _plain(heading) not in _QUANTITY:
+        for pattern in _NAME_UNIT:
+            match = pattern.fullmatch(heading)
+            if match:
+                return _plain(match[1]), match[2] or None
+    return _plain(heading), None
+
+
+def _candidates(cells: list[str], columns: Mapping[str, str]) -> dict[str, list[int]]:
+    """Columns that may be each quantity: those asked for, else those whose name is known."""
+    found: dict[str, list[int]] = {}
+    for quantity, asked in columns.items():
+        name = _plain(str(asked))
+        found[quantity] = [
+            k for k, cell in enumerate(cells) if name in (_plain(cell), _name_unit(cell)[0])
+        ]
+        if not found[quantity] and name.isdecimal() and 1 <= int(name) <= len(cells):
+            found[quantity] = [int(name) - 1]
+    taken = {k for places in found.values() for k in places}
+    for k, cell in enumerate(cells):
+        quantity = _QUANTITY.get(_name_unit(cell)[0])
+        if quantity and quantity not in columns and k not in taken:
+            found.setdefault(quantity, []).append(k)
+    if "force" in columns or "shear_force" in columns:  # the one asked for, not the other beside it
+        found = {q: k for q, k in found.items() if q in columns or not q.endswith("force")}
+    return found
+
+
+def _enough(found: Mapping[str, object]) -> bool:
+    return bool(
+        (found.get("force") or found.get("shear_force"))
+        and (found.get("displacement") or found.get("shear_angle"))
+    )
+
+
+def _places(
+    rows: list[Row], columns: Mapping[str, str]
+) -> tuple[dict[str, int], dict[str, str], int]:
+    """Column and declared unit of each quantity, and the first row of numbers."""
+    numbers = next((k for k, row in enumerate(rows) if _numeric(row[2]) and not row[1]), None)
+    if numbers is None:
+        raise InputError("no rows of two or more numbers that are not comments")
+    if _enough(columns) and all(str(asked).strip().isdecimal() for asked in columns.values()):
+        places = {quantity: int(asked) - 1 for quantity, asked in columns.items()}
+        width = max(len(cells) for _, _, cells in rows[numbers:])
+        for asked in columns.values():
+            if not 1 <= int(asked) <= width:
+                raise InputError(f"column {asked} not found: there are {width} columns")
+        declared = {}
+        for _, _, cells in rows[max(0, numbers - 2) : numbers]:
+            declared |= _declared(cells, places)
+        return _one_force(places, rows[numbers][2]), declared, numbers
+    heading = 0
+    while _numeric(rows[heading][2]) or not _enough(_candidates(rows[heading][2], columns)):
+        heading += 1
+        if heading == len(rows):
+            raise InputError(_no_heading(rows[:numbers], columns))
+    cells = rows[heading][2]
+    found = _candidates(cells, columns)
+    for quantity, many in found.items():
+        if not many:
+            raise InputError(_not_found(str(columns[quantity]), cells))
+        if len(many) > 1:
+            names = " and ".join(f"'{cells[k]}' (column {k + 1})" for k in many)
+            raise InputError(
+                f"{names} may both be the {_label(quantity)}: choose with "
+                f"columns={{'{quantity}': '{many[0] + 1}'}}"
+            )
+    places = _one_force({quantity: many[0] for quantity, many in found.items()}, cells)
+    declared, first = _declared(cells, places), heading + 1
+    while first < len(rows) and rows[first][1]:
+        first += 1
+    if first < len(rows) and not any(_NUMBER.fullmatch(cell) for cell in rows[first][2]):
+        declared = _declared(rows[first][2], places, line_of_units=True) | declared
+        first += 1
+    return places, declared, first
+
+
+def _one_force(places: dict[str, int], cells: list[str]) -> dict[str, int]:
+    if "force" in places and "shear_force" in places:
+        force, shear_force = (cells[places[quantity]] for quantity in ("force", "shear_force"))
+        raise InputError(
+            f"'{force}' is a force and '{shear_force}' a shear force: choose one with "
+            f"columns={{'force': '{force}'}} or columns={{'shear_force': '{shear_force}'}}"
+        )
+    return places
+
+
+def _declared(
+    cells: list[str], places: Mapping[str, int], line_of_units: bool = False
+) -> dict[str, str]:
+    """Units in a heading, or in the line of units below it where a word is nothing else."""
+    declared = {}
+    for quantity, k in places.items():
+        cell = cells[k] if k < len(cells) else ""
+        bare = cell.strip("[]() ")
+        unit = bare if line_of_units or _known(quantity, bare) else _name_unit(cell)[1]
+        if unit:
+            declared[quantity] = unit
+    return declared
+
+
+def _listed(cells: list[str]) -> str:
+    return ", ".join(f"'{cell}'" for cell in cells)
+
+
+def _not_found(asked: str, cells: list[str]) -> str:
+    return f"column '{asked}' not found: {suggestion(asked, cells)} (columns: {_listed(cells)})"
+
+
+def _no_heading(rows: list[Row], columns: Mapping[str, str]) -> str:
+    """Say what the last line before the numbers that is not one of units lacks."""
+    for _, _, cells in reversed(rows):
+        units = any(_known(quantity, cell.strip("[]() ")) for cell in cells for quantity in UNITS)
+        if len(cells) > 1 and not units:
+            found = _candidates(cells, columns)
+            for quantity, asked in columns.items():
+                if not found[quantity]:
+                    return _not_found(str(asked), cells)
+            force = found.get("force") or found.get("shear_force")
+            lacking = "displacement or shear angle" if force else "force or shear force"
+            key = "displacement" if force else "force"
+            return (
+                f"no column of a {lacking}: found {_listed(cells)}; name it with "
+                f"columns={{'{key}': ...}}"
+            )
+    return "no line of headings: give positions, columns={'displacement': '1', 'force': '2'}"
+
+
+def _numbers(
+    rows: list[Row], places: Mapping[str, int]
+) -> tuple[dict[str, FloatArray], np.ndarray]:
+    """Numbers of each quantity and their lines in the file."""
+    table, lines = [], []
+    for line, comment, cells in rows:
+        if any(cells) and not comment:
+            table.append([cells[k] if k < len(cells) else "" for k in places.values()])
+            lines.append(line)
+    if len(table) < FEWEST:
+        raise InputError(f"only {len(table)} rows of numbers, at least {FEWEST} are needed")
+    marks = [mark for row in table for cell in row for mark in cell if mark in ",."]
+    wrong = "." if 2 * marks.count(",") > len(marks) else ","  # the rarer is no decimal sign
+    values = np.empty((len(table), len(places)))
+    for i, (line, row) in enumerate(zip(lines, table, strict=True)):
+        for j, (quantity, cell) in enumerate(zip(places, row, strict=True)):
+            if not _NUMBER.fullmatch(cell) or wrong in cell:
+                raise InputError(f"line {line}: the {_label(quantity)} is not a number: {cell!r}")
+            values[i, j] = float(cell.replace(",", "."))
+            if not abs(values[i, j]) < 1e30:
+                raise InputError(f"line {line}: the {_label(quantity)} is not finite: {cell!r}")
+    return dict(zip(places, values.T.copy(), strict=True)), np.array(lines)
+
+
+# Units
+
+
+def _label(quantity: str) -> str:
+    return quantity.replace("_", " ")
+
+
+def _told(quantity: str, value: float) -> str:
+    unit = next(iter(UNITS[quantity]))
+    return f"{np.degrees(value) if unit == 'deg' else value:.3g} {unit}"
+
+
+def _known(quantity: str, unit: str) -> str | None:
+    """Return the unit as it is spelt here: MM is mm, the other letter µ is the same."""
+    unit = unit.replace("μ", "µ")
+    return {name.casefold(): name for name in UNITS[quantity]}.get(
+        unit.replace("µ", "u").casefold()
+    )
+
+
+def _factor(quantity: str, unit: str | None, values: FloatArray, notices: list[str]) -> float:
+    """Size of the unit, declared or inferred from the values, in mm, N, rad or N/mm."""
+    label, known = _label(quantity), UNITS[quantity]
+    assumed, largest = next(iter(known)), np.abs(values).max()
+    if unit is None:
+        if quantity == "force" and largest < 0.5:
+            raise InputError(
+                f"the largest force is {largest:.3g} without a unit, which looks like kN: declare "
+                "it, Force [kN] in the heading or units={'force': 'kN'}"
+            )
+        if quantity == "shear_angle" and largest < 1.6:
+            notices.append("The shear angle has no unit and stays below 1.6: taken as rad.")
+            return known["rad"]
+        notices.append(f"The {label} has no unit: taken as {assumed}.")
+        return known[assumed]
+    spelt = _known(quantity, unit)
+    if spelt is None:
+        other = [_label(q) for q in UNITS if _known(q, unit)]
+        hint = f", it is one of a {other[0]}" if other else ""
+        raise InputError(
+            f"unknown unit '{unit}' of the {label}{hint}: expected one of {', '.join(known)}"
+        )
+    if known[spelt] != known[assumed]:
+        notices.append(f"The {label} was read in {spelt}.")
+    return known[spelt]
+
+
+# The loading part
+
+
+def _loading(values: Mapping[str, FloatArray], lines: np.ndarray, notices: list[str]) -> Curve:
+    """Cut what is not loading, move the zero, estimate the noise."""
+    per_length = "shear_force" in values
+    along = "displacement" if "displacement" in values else "shear_angle"
+    force_name = "shear_force" if per_length else "force"
+    x, f, angle = values[along], values[force_name], values.get("shear_angle")
+
+    few = f"rows belong to the loading, at least {FEWEST} are needed"
+    end = int(x.argmax()) + 1
+    if end < FEWEST:
+        raise InputError(
+            f"only {end} {few}: the {_label(along)} is largest at line {lines[end - 1]}"
+        )
+    if end < len(x):
+        notices.append(
+            f"{len(x) - end} rows after the largest {_label(along)}, {_told(along, x[end - 1])}, "
+            "were cut."
+        )
+    top = int(f[:end].argmax())
+    if f[top] > 0 and f[top:end].min() < (1 - DROP) * f[top]:
+        notices.append(
+            f"The force drops by more than {100 * DROP:g} % after {_told(force_name, f[top])} at "
+            f"{_told(along, x[top])}: {end - top} rows from there on were cut."
+        )
+        end = top
+    if end < FEWEST:
+        raise InputError(f"only {end} {few}")
+    x, f, angle = x[:end], f[:end], angle if angle is None else angle[:end]
+
+    reached = np.maximum.accumulate(x)
+    back = reached - x
+    worst = int(back.argmax())
+    if back[worst] > BACK * np.ptp(x):
+        raise InputError(
+            f"{_label(along)} is not monotone: goes back by {_told(along, back[worst])} at line "
+            f"{lines[worst]}"
+        )
+    ahead = np.r_[True, x[1:] > reached[:-1]]
+    if not ahead.all():
+        notices.append(f"{(~ahead).sum()} rows that do not move ahead were left out.")
+    x, f, angle = x[ahead], f[ahead], angle if angle is None else angle[ahead]
+
+    if len(x) < FEWEST:
+        raise InputError(f"only {len(x)} {few}")
+    if f.max() <= 0:
+        raise InputError("the force is nowhere positive while loading: is its sign reversed?")
+    slack = _slack(x, f) if along == "displacement" else None
+    if slack:
+        start, level = slack
+        taut = x > start
+        x, f, angle = x[taut] - start, f[taut] - level, angle if angle is None else angle[taut]
+        notices.append(
+            f"Slack up to {start:.4g} mm was cut, displacement counts from there; the constant "
+            f"{_told(force_name, level)} before it was subtracted from the force."
+        )
+    elif along == "displacement" and x[0] != 0:
+        # a sheet that was strained by x[0] already would have taken about the slope of the start
+        near = slice(0, max(FEWEST, np.searchsorted(x, x[0] + abs(x[0]))))
+        slope = max(np.polyfit(x[near], f[near], 1)[0], 0.0)
+        if x[0] < 0 or f[0] < UNSTRAINED * slope * x[0]:
+            notices.append(f"The displacement was shifted by {-x[0]:.4g} mm to start at 0.")
+            x = x - x[0]
+        else:
+            notices.append(
+                f"The curve begins at {x[0]:.4g} mm with {_told(force_name, f[0])}: not shifted."
+            )
+    if len(x) < FEWEST:
+        raise InputError(f"only {len(x)} {few}")
+    sigma = _noise(x, f)
+    if not slack and along == "displacement" and x[0] == 0 and f[0] > 3 * sigma[0]:
+        notices.append(f"A preload of {_told(force_name, f[0])} was kept.")
+    displacement = x if along == "displacement" else None
+    return Curve(f, displacement, angle, sigma, per_length, tuple(notices))
+
+
+def _slack(x: FloatArray, f: FloatArray) -> tuple[float, float] | None:
+    """End of the slack, mm, and constant force before it, N; None if there is no slack.
+
+    Rows from the first on are flat as long as their slope is not significant. The line through
+    the first rise meets their level at the end of the slack, provided that this kinked line fits
+    better than a parabola, as which a curve that just begins softly would pass.
+    """
+    top, n = f.max(), len(f)
+    if np.ptp(f) == 0:
+        return None
+    step = np.diff(np.unique(f)).min() / np.sqrt(12)  # what rounding to a step scatters
+
+    def scatter(k: int) -> float:
+        return max(np.sqrt(np.mean(np.diff(f[:k], 2) ** 2) / 6), step, 1e-6 * top)
+
+    k = 6
+    while k < n:
+        u = x[:k] - x[:k].mean()
+        if abs(u @ f[:k]) > 4 * scatter(k) * np.sqrt(u @ u):
+            break
+        k = max(k + 1, int(1.05 * k))
+    flat = int(0.8 * min(k, n))
+    level, noise = float(np.median(f[:flat])), scatter(flat)
+    if k >= n or flat < 5 or abs(level) > OFFSET * top:
+        return None
+    above = f > level + 5 * noise
+    first = flat + int(np.argmax(above[flat:-1] & above[flat + 1 :]))
+    last = max(first + 6, int(np.argmax(f > level + 20 * noise)) + 1)
+    X, F = x[first:last], f[first:last]
+    if len(X) < 4:
+        return None
+    i, j = np.triu_indices(len(X), 1)
+    slope = np.median((F[j] - F[i]) / (X[j] - X[i]))  # Theil-Sen
+    start = float(np.median(X - (F - level) / slope))
+    X, F = x[:last], f[:last]
+    kinked = level + slope * np.maximum(X - start, 0) - F
+    u = (X - X[0]) / np.ptp(X)
+    parabola = np.polyval(np.polyfit(u, F, 2), u) - F
+    if slope <= 0 or kinked @ kinked > 0.7 * (parabola @ parabola):
+        return None
+    return start, level
+
+
+def _noise(x: FloatArray, f: FloatArray) -> FloatArray:
+    """Standard deviation of the force: a share of it, of at least SMALL of the largest.
+
+    The share is the median of what is left of a row by the cubic through its four neighbours,
+    which a smooth curve's curvature does not enter, over the standard deviation of that by
+    noise of one.
+    """
+    k = np.arange(2, len(x) - 2)
+    near = k[:, None] + [-2, -1, 1, 2]  # (n - 4, 4)
+    weight = np.ones(near.shape)
+    for a in range(4):
+        for b in range(4):
+            if a != b:
+                weight[:, a] *= (x[k] - x[near[:, b]]) / (x[near[:, a]] - x[near[:, b]])
+    left = (f[k] - (weight * f[near]).sum(axis=1)) / np.sqrt(1 + (weight**2).sum(axis=1))
+    floor = SMALL * f.max()
+    local = np.maximum((f[k - 1] + f[k] + f[k + 1]) / 3, floor)
+    share = np.median(np.abs(left) / local) / 0.6745
+    return max(share, 1e-6) * np.maximum(f, floor)

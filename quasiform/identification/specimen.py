@@ -1,0 +1,163 @@
+"""Specimens: which shear angles a test holds at once, and what each adds to the force.
+
+With inextensible fibres the power balance of a test reads
+
+    force = Σ_k share_k S12(sin γ_k),    share_k = t0 A_k cos γ_k dγ_k/du
+
+over its zones k, which is linear in the unknown S12. At 45° the zones are the full one at γ and the
+half ones at γ/2, and solved for S12(γ) the balance is Eq. 10 of Schäfer et al. with the coefficient
+of S12(γ/2) that conserves energy (`theory.OffAxisTension`); the printed one is half of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ..checks import InputError, check_number
+from ..theory import OffAxisTension
+from .records import Curve
+
+FloatArray = np.ndarray
+
+
+@dataclass(frozen=True)
+class OffAxis:
+    """Off-axis tension test of a strip (bias extension at 45°).
+
+    Parameters
+    ----------
+    length, width : float
+        l0 between the grips and w0, mm.
+    angle : float
+        Θ0 between load and warp, degrees.
+
+    Raises
+    ------
+    InputError
+        If a size is not positive or a fibre joins both grips.
+    """
+
+    length: float = 320.0
+    width: float = 160.0
+    angle: float = 45.0
+
+    def __post_init__(self) -> None:
+        check_number("length", self.length)
+        check_number("width", self.width)
+        check_number("angle", self.angle)
+        try:
+            _ = self.net
+        except ValueError as error:
+            raise InputError(str(error)) from error
+
+    @cached_property
+    def net(self) -> OffAxisTension:
+        """The strip with inextensible fibres."""
+        return OffAxisTension(self.length, self.width, np.radians(self.angle))
+
+    def displacement(self, curve: Curve) -> FloatArray:
+        """(n,) grip displacement of the rows, mm: the one measured, or that of a measured angle.
+
+        Raises
+        ------
+        InputError
+            Beyond the limit of inextensible fibres.
+        """
+        D, _ = self.net.chord
+        if curve.displacement is not None:
+            u, limit = curve.displacement, self.net.displacement_limit
+            if u.max() >= limit:
+                raise InputError(
+                    f"the displacement reaches {u.max():.4g} mm, but at {limit:.4g} mm the net of "
+                    "inextensible fibres has collapsed: cut the record, or check length and width"
+                )
+            return u
+        _check_angle(curve.shear_angle)
+        I6 = np.sin(curve.shear_angle)
+        return np.sqrt(D**2 + 2 * self.net.alpha * self.net.beta * I6) - D
+
+    def shares(
+        self, curve: Curve, thickness: float, as_printed: bool = False
+    ) -> tuple[FloatArray, FloatArray]:
+        """Shares of the zones in the force, (3, n) in mm², and their angles, (3, n) in radians.
+
+        A measured angle takes the place of the kinematic one in the full zone and, in proportion,
+        in the others. With `as_printed` the half zones count for half, as in the paper's Eq. 10.
+        """
+        u = self.displacement(curve)
+        angles, rates = self.net.angles(u), self.net.angle_rates(u)
+        if curve.shear_angle is not None:
+            _check_angle(curve.shear_angle)
+            moved = angles[0] > 0
+            part = np.divide(curve.shear_angle, angles[0], out=np.ones_like(u), where=moved)
+            angles = angles * part
+        areas = self.net.zone_areas[:3] * ([1.0, 0.5, 0.5] if as_printed else 1.0)
+        return thickness * areas[:, None] * np.cos(angles) * rates, angles
+
+
+@dataclass(frozen=True)
+class PictureFrame:
+    """Picture frame, pulled along its diagonal.
+
+    Parameters
+    ----------
+    side : float
+        Side L of the frame between its hinges, mm.
+    fabric_side : float, optional
+        Side of the sheared fabric, mm, where that is smaller than the frame.
+    """
+
+    side: float = 100.0
+    fabric_side: float | None = None
+
+    def __post_init__(self) -> None:
+        check_number("side", self.side)
+        if self.fabric_side is not None:
+            check_number("fabric_side", self.fabric_side)
+
+    def angle(self, curve: Curve) -> FloatArray:
+        """(n,) shear angle of the rows, radians: measured, or that of the hinged frame.
+
+        Raises
+        ------
+        InputError
+            Beyond the limit of the frame.
+        """
+        if curve.shear_angle is not None:
+            _check_angle(curve.shear_angle)
+            return curve.shear_angle
+        half = (np.sqrt(2.0) * self.side + curve.displacement) / (2.0 * self.side)
+        if half.max() >= 1.0:
+            raise InputError(
+                f"the displacement reaches {curve.displacement.max():.4g} mm, but the frame closes "
+                f"at {(2 - np.sqrt(2.0)) * self.side:.4g} mm: check the side of the frame"
+            )
+        return np.pi / 2 - 2.0 * np.arccos(half)
+
+    def shares(
+        self, curve: Curve, thickness: float, as_printed: bool = False
+    ) -> tuple[FloatArray, FloatArray]:
+        """Share of the only zone in the force, (1, n) in mm², and its angle, (1, n) in radians.
+
+        A force per length of fabric is F_sh = t0 S12 itself.
+        """
+        gamma = self.angle(curve)
+        if curve.per_length:
+            return np.full((1, len(gamma)), thickness), gamma[None]
+        fabric = self.fabric_side or self.side
+        share = 2.0 * thickness * fabric**2 / self.side * np.cos(np.pi / 4 - gamma / 2)
+        return share[None], gamma[None]
+
+
+Specimen = OffAxis | PictureFrame
+
+
+def _check_angle(gamma: FloatArray) -> None:
+    if np.abs(gamma).max() >= np.pi / 2:
+        raise InputError(
+            f"the shear angle reaches {np.degrees(np.abs(gamma).max()):.4g} degrees, "
+            "beyond the limit of 90: check its unit"
+        )
