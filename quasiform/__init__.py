@@ -18,7 +18,7 @@ from .material import Fabric, TabulatedLaw, ThreeStageLaw
 from .progress import progress
 from .result import Result
 from .scene import Scene
-from .solve import Progress, solve
+from .solve import Progress, refine, solve
 from .tool import Tool
 
 __all__ = [
@@ -39,5 +39,6 @@ __all__ = [
     "picture_frame",
     "progress",
     "rectangle",
+    "refine",
     "solve",
 ]

@@ -31,7 +31,7 @@ from .progress import LiveProgress
 from .result import Result, package_version
 from .scene import Scene
 from .scene_file import built_in
-from .solve import solve
+from .solve import refine, solve
 from .solve.linear import NAMES as LINEAR_SOLVERS
 
 
@@ -63,12 +63,17 @@ def _solve(arguments: argparse.Namespace) -> int:
     _say(f"writing to {folder}")
     _say(_describe(scene))
     with LiveProgress(scene.travel) as callback:
-        result = solve(scene, callback, arguments.increment, linear=arguments.linear)
+        if getattr(arguments, "size", None) is None:
+            result = refine(
+                scene, callback, arguments.accuracy, arguments.increment, arguments.linear
+            )
+        else:
+            result = solve(scene, callback, arguments.increment, linear=arguments.linear)
     result.save(folder, force=arguments.force)
     _say(_report(result))
     written = [name for name in FILES if (folder / name).exists()]
     if scene.outputs["increments"]:
-        written.append(f"{len(result.states)} {INCREMENTS}")
+        written.append(f"{len(result.rows)} {INCREMENTS}")
     _say(f"files in {folder}: {', '.join(written)}")
     return 0 if result.status == "completed" else 3
 
@@ -165,8 +170,19 @@ def _add_form(commands: Any) -> None:
         "--orientation", type=_degrees, metavar="DEG", help="angle of the warp to x (the scene's)"
     )
     _add_law(parser, None, "the scene's")
-    parser.add_argument(
-        "--size", type=_positive, metavar="MM", help="spacing of fibre lines (the scene's, or 5)"
+    mesh = parser.add_mutually_exclusive_group()
+    mesh.add_argument(
+        "--size",
+        type=_positive,
+        metavar="MM",
+        help="spacing of fibre lines; the whole path on this one mesh (else: the end at the "
+        "scene's size, or 5, and the way there on a coarser mesh)",
+    )
+    mesh.add_argument(
+        "--accuracy",
+        type=_positive,
+        metavar="DEG",
+        help="refine until the estimated error of the shear angle (99th percentile) is below this",
     )
     parser.add_argument(
         "--travel", type=_positive, metavar="MM", help="travel of the punch (the scene's)"
@@ -391,9 +407,11 @@ def _report(result: Result) -> str:
             "{shear_angle_deg:.1f} deg".format(**summary["collapse"])
         )
     certified = summary["certified"]
+    if summary["path_size_mm"]:
+        rows["path"] = f"followed at size {summary['path_size_mm']:g} mm"
     rows["certified"] = "yes" if certified is True else f"no: {certified}"
     rows["linear solves"] = (
-        f"{summary['linear_solves']} ({summary['solver']['linear']}) "
+        f"{summary['linear_solves']:g} ({summary['solver']['linear']}) "
         f"in {summary['increments']} increments"
     )
     rows["wall time"] = f"{summary['wall_s']:.1f} s"

@@ -147,13 +147,14 @@ def off_axis_tension(
             ("weight left out", "acts out of the plane"),
             *([PAIRED] if blank.pairs is not None else []),
         ],
-        coarser=(
+        resized=(
             None
             if mesh not in ("fibre", "free")
-            else lambda: off_axis_tension(
-                angle, fabric, length, width, displacement, 2 * size, mesh
+            else lambda size: off_axis_tension(
+                angle, fabric, length, width, displacement, size, mesh
             )
         ),
+        coarsest=width / 8,
     )
 
 
@@ -233,7 +234,7 @@ def picture_frame(
         rows=5.0,
         parameters={"side": side, "shear": shear, "law": fabric.name, "size": size},
         model=[("plane problem", "held flat by the frame")],
-        coarser=lambda: picture_frame(side, shear, fabric, 2 * size),
+        resized=lambda size: picture_frame(side, shear, fabric, size),
     )
 
 
@@ -293,5 +294,5 @@ def cantilever(
         dead_load=load * length * width,
         parameters={"length": length, "load": load, "width": width, "size": size, "family": family},
         model=[("contact and friction left out", "no tools")],
-        coarser=lambda: cantilever(length, load, width, fabric, 2 * size, family),
+        resized=lambda size: cantilever(length, load, width, fabric, size, family),
     )

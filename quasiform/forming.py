@@ -479,7 +479,10 @@ class _Build:
             },
             turn=self.frame,
             outputs=file.outputs,
-            coarser=None if isinstance(file.mesh, Path) else self._coarser,
+            resized=None if isinstance(file.mesh, Path) else self._resized,
+            coarsest=min(
+                (getattr(tool.shape, "sharpest", 0.0) for tool in self.tools), default=0.0
+            ),
         )
         scene.edges = edge_points(scene.whole[0], self.turn)
         membrane, share = scene.membrane, self.share
@@ -497,12 +500,12 @@ class _Build:
         }
         return scene
 
-    def _coarser(self) -> Scene:
+    def _resized(self, size: float) -> Scene:
         return forming(
             self.file,
             self.orientation,
             self.fabric,
-            2 * self.size,
+            size,
             self.goal,
             self.symmetry,
             self.turn,

@@ -176,9 +176,14 @@ def _title(result: Result) -> str:
     travel, force, unit = _words(result)
     case.append(f"{travel} {summary['reached_mm']:.4g}{' mm' if unit == 'N' else ''}")
     gamma, certified = summary["shear_angle_deg"], summary["certified"]
-    numbers = [f"|γ| max {gamma['max']:.1f}°, p99 {gamma['p99']:.1f}°"]
+    errors = summary["error_estimate"]
+    off, off_force = (
+        "" if errors[name] is None else f" ± {errors[name]:.2g}"
+        for name in ("shear_angle_deg", "force_N")
+    )
+    numbers = [f"|γ| max {gamma['max']:.1f}°, p99 {gamma['p99']:.1f}{off}°"]
     if unit == "N":
-        numbers.append(f"{force} {round(summary['force_N'], 3) + 0.0:.4g} N")
+        numbers.append(f"{force} {round(summary['force_N'], 3) + 0.0:.4g}{off_force} N")
     if certified is True:
         numbers.append("certified")
     title = " · ".join(case) + "\n" + " · ".join(numbers)
@@ -485,8 +490,8 @@ def _draw_arrow(axes: Axes, start: FloatArray, end: FloatArray) -> None:
 
 def _draw_force(axes: Axes, result: Result) -> None:
     """Force over travel; faded from a collapse on, with the closed form of an off-axis test."""
-    travel = np.array([s.travel for s in result.states])
-    force = np.array([s.force for s in result.states])
+    travel = np.array([s.travel for s in result.rows])
+    force = np.array([s.force for s in result.rows])
     until = result.collapse["travel_mm"] if result.collapse else np.inf
     n = max(1, int(np.sum(travel < until)))
     first = int(_scale_force(axes, force, force[:n]))  # no force at the start: not on a log scale
@@ -531,14 +536,16 @@ def _scale_force(axes: Axes, force: FloatArray, sound: FloatArray) -> bool:
 
 def _draw_shear_angles(axes: Axes, result: Result) -> None:
     """Largest shear angle over travel, and that at the centre or the 99th percentile."""
-    travel = np.array([s.travel for s in result.states])
-    gamma = np.abs([result.shear_angles(i) for i in range(len(travel))])
-    axes.plot(travel, gamma.max(1), "o-", **CURVE | {"markersize": 4}, mfc="white", label="largest")
+    travel = np.array([s.travel for s in result.rows])
+    gamma = [np.abs(at.shear_angles(i)) for at, i in result.followed]
+    largest = np.array([g.max() for g in gamma])
+    axes.plot(travel, largest, "o-", **CURVE | {"markersize": 4}, mfc="white", label="largest")
     centre = result.history.get("shear_angle_center_deg")
     if centre is not None:
         axes.plot(travel, centre, "s-", **CURVE | {"color": SECOND}, label="centre")
     else:
-        p99 = [percentile(g, result.blank.areas, 0.99) for g in gamma]
+        areas = [at.blank.areas for at, _ in result.followed]
+        p99 = [percentile(g, area, 0.99) for g, area in zip(gamma, areas, strict=True)]
         axes.plot(travel, p99, "s-", **CURVE | {"color": SECOND}, label="99th percentile")
     known = _off_axis_theory(result)
     if known:
@@ -546,18 +553,17 @@ def _draw_shear_angles(axes: Axes, result: Result) -> None:
         axes.plot(
             u, angle, "--", color="0.4", linewidth=0.9, label="kinematic,\ninextensible fibres"
         )
-    axes.set_ylim(0.0, max(1.0, 1.1 * gamma.max()))
-    _finish_panel(axes, result, travel[-1], gamma[-1].max(), "shear angle |γ| in °")
+    axes.set_ylim(0.0, max(1.0, 1.1 * largest.max()))
+    _finish_panel(axes, result, travel[-1], largest[-1], "shear angle |γ| in °")
 
 
 def _draw_draw_in(axes: Axes, result: Result) -> None:
     """Draw-in over travel: mean of the mid-edges and their range."""
-    scene = result.scene
-    travel = np.array([s.travel for s in result.states])
+    travel = np.array([s.travel for s in result.rows])
     draw_in = np.array(
         [
-            [e.draw_in(scene.whole_positions(s.x)) for e in scene.edges.values()]
-            for s in result.states
+            [edge.draw_in(at.positions(i)) for edge in at.scene.edges.values()]
+            for at, i in result.followed
         ]
     )
     mean = draw_in.mean(1)

@@ -12,11 +12,19 @@ from typing import Any
 
 import meshio
 import numpy as np
+from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
 from .blank import Blank
 from .energy.contact import LEVER
 from .files import replaced
-from .measure import SLIP_GRADIENT, disc, percentile, shear_gradient, shear_stability
+from .measure import (
+    SLIP_GRADIENT,
+    disc,
+    discretisation_error,
+    percentile,
+    shear_gradient,
+    shear_stability,
+)
 from .scene import COLLAPSE, Scene
 
 FloatArray = np.ndarray
@@ -61,16 +69,23 @@ class Result:
         Of the exact tangent at the end; None where the linear solver does not tell.
     collapse : dict or None
         Where and when a triangle first passed 85 degrees or turned over.
+    solve_s : float
+        Time of one linear solve, s.
     estimate : dict
-        `shear_angle_deg` (p99) and `force_N`: differences between this mesh and one twice as
-        coarse, which at first-order convergence is the error of this one; None if not estimated.
+        Error of the mesh of each of the `quantities`, above all `shear_angle_deg` (of the 99th
+        percentile) and `force_N`, from coarser meshes (`measure.discretisation_error`); None if
+        not estimated.
+    shear_angle_error : (n_triangles,) array or None
+        The same of the shear angle, degrees.
+    path : Result or None
+        Where only the end was solved on this mesh: the way there on a coarser one.
     """
 
     scene: Scene
     states: list[State]
     reason: str
     wall_s: float
-    linear_solves: int
+    linear_solves: float
     settings: dict[str, Any]
     increments: int
     rescues: dict[str, int]
@@ -81,6 +96,9 @@ class Result:
     estimate: dict[str, float | None] = field(
         default_factory=lambda: {"shear_angle_deg": None, "force_N": None}
     )
+    solve_s: float = 0.0
+    shear_angle_error: FloatArray | None = None
+    path: Result | None = None
 
     @property
     def status(self) -> str:
@@ -112,16 +130,27 @@ class Result:
         return self.states[-1].force
 
     @property
+    def followed(self) -> list[tuple[Result, int]]:
+        """Where the states along the travel are: those of the path, and the end on this mesh."""
+        path = self.path or self
+        return [*((path, i) for i in range(len(path.states) - 1)), (self, len(self.states) - 1)]
+
+    @property
+    def rows(self) -> list[State]:
+        """States along the travel."""
+        return [result.states[i] for result, i in self.followed]
+
+    @property
     def history(self) -> dict[str, FloatArray]:
         """Columns by name, one row an increment (goes straight into a pandas DataFrame)."""
-        travel = self.scene.travel_name
-        columns = {
-            travel: [s.travel for s in self.states],
-            "force_N": [s.force for s in self.states],
-        }
+        travel, rows = self.scene.travel_name, self.rows
+        columns = {travel: [s.travel for s in rows], "force_N": [s.force for s in rows]}
         for name in self.scene.measures:
-            columns[name] = [s.measures[name] for s in self.states]
-        columns["linear_solves"] = [s.linear_solves for s in self.states]
+            columns[name] = [s.measures[name] for s in rows]
+        columns["linear_solves"] = [s.linear_solves for s in rows]
+        if self.path is not None:
+            sizes = [self.path.scene.size] * (len(rows) - 1)
+            columns["size_mm"] = [*sizes, self.scene.size]
         return {name: np.array(values) for name, values in columns.items()}
 
     def cell_fields(self, state: int = -1) -> dict[str, FloatArray]:
@@ -135,7 +164,9 @@ class Result:
         flat = blank.nodes[blank.triangles[:, 1:]] - blank.nodes[blank.triangles[:, :1]]
         F = np.einsum("nik,nij->nkj", legs, np.linalg.inv(flat).transpose(0, 2, 1))
         unit = [f / np.linalg.norm(f, axis=1)[:, None] for f in (F @ blank.warp, F @ blank.weft)]
-        return {
+        end = state in (-1, len(self.states) - 1)
+        error = {"shear_angle_error": self.shear_angle_error} if end else {}
+        return {name: field for name, field in error.items() if field is not None} | {
             "shear_angle": self.shear_angles(state),
             "warp": unit[0],
             "weft": unit[1],
@@ -277,27 +308,70 @@ class Result:
             doubts.append(f"collapsed from {self.collapse['travel_mm']:.4g} mm on")
         return "; ".join(doubts) if doubts else True
 
-    def compare_with_coarser(self, coarse: Result) -> None:
-        """Set `estimate` from the same scene on a coarser mesh.
+    @property
+    def quantities(self) -> dict[str, float]:
+        """Numbers of the end state whose error is estimated, by name."""
+        gamma, areas = np.abs(self.shear_angle), self.blank.areas
+        found = {
+            "shear_angle_deg": percentile(gamma, areas, 0.99),
+            "force_N": self.force,
+            "shear_angle_mean_deg": float(areas @ gamma / areas.sum()),
+        }
+        found |= {f"area_{name}_deg": value for name, value in self.areas.items() if value}
+        return found | {f"draw_in_{name}_mm": value for name, value in self.draw_in.items()}
+
+    def judge(self, coarser: list[Result]) -> None:
+        """Estimate the error of the mesh from the same scene on coarser ones, coarsest first.
 
         Left open where the coarse scene is another one (a user has added terms or changed the
         travel), stopped early, or where one of the two has collapsed.
         """
-        same = [t.name for t in self.scene.terms if "between" not in t.name] == [
-            t.name for t in coarse.scene.terms if "between" not in t.name
-        ]
-        same = same and self.scene.fixed.sum() >= coarse.scene.fixed.sum()
-        same = same and self.states[-1].travel == coarse.states[-1].travel
-        if not same or coarse.reason or self.reason or coarse.collapse or self.collapse:
+        levels = [self]
+        for coarse in reversed(coarser):
+            if not self._comparable(coarse):
+                break
+            levels.append(coarse)
+        if len(levels) < 2 or self.reason or self.collapse:
             return
-        p99 = [
-            percentile(np.abs(result.shear_angle), result.blank.areas, 0.99)
-            for result in (self, coarse)
-        ]
+        values = [level.quantities for level in levels]
         self.estimate = {
-            "shear_angle_deg": abs(p99[0] - p99[1]),
-            "force_N": abs(self.force - coarse.force),
+            name: float(discretisation_error([v[name] for v in values]))
+            for name in values[0]
+            if all(name in v for v in values)
         }
+        fields = [self.nodal_shear_angle]
+        fields += [level.shear_angle_at(self.blank.nodes) for level in levels[1:]]
+        at_nodes = discretisation_error(fields)
+        self.shear_angle_error = at_nodes[self.blank.triangles].mean(1)
+
+    def _comparable(self, coarse: Result) -> bool:
+        names = [
+            [term.name for term in scene.terms if "between" not in term.name]
+            for scene in (self.scene, coarse.scene)
+        ]
+        return (
+            names[0] == names[1]
+            and self.scene.fixed.sum() >= coarse.scene.fixed.sum()
+            and self.states[-1].travel == coarse.states[-1].travel
+            and not (coarse.reason or coarse.collapse)
+        )
+
+    @property
+    def nodal_shear_angle(self) -> FloatArray:
+        """(n_nodes,) shear angle as the mean of the triangles around a node, degrees."""
+        blank = self.blank
+        around = blank.triangles.ravel()
+        weight = np.repeat(blank.areas, 3)
+        total = np.bincount(around, weight * np.repeat(self.shear_angle, 3), len(blank.nodes))
+        return total / np.bincount(around, weight, len(blank.nodes))
+
+    def shear_angle_at(self, points: FloatArray) -> FloatArray:
+        """(n,) shear angle at (n, 2) points of the flat sheet, degrees; beyond it, the nearest."""
+        values, nodes = self.nodal_shear_angle, self.blank.nodes
+        found = LinearNDInterpolator(nodes, values)(points)
+        outside = np.isnan(found)
+        found[outside] = NearestNDInterpolator(nodes, values)(points[outside])
+        return found
 
     def summary(self) -> dict[str, Any]:
         """Contents of `summary.json`."""
@@ -312,9 +386,10 @@ class Result:
             "reached_mm": self.states[-1].travel,
             "reason": self.reason,
             "wall_s": round(self.wall_s, 3),
-            "linear_solves": self.linear_solves,
+            "linear_solves": round(self.linear_solves, 1),
             "solver": self.settings,
             "increments": self.increments,
+            "path_size_mm": None if self.path is None else self.path.scene.size,
             "nodes": len(scene.blank.nodes),
             "triangles": len(scene.blank.triangles),
             "dofs": int((~scene.fixed).sum()),
@@ -394,10 +469,11 @@ class Result:
                 writer.writerows([number, *(f"{c:.6g}" for c in point)] for point in loop)
         collection = ET.Element("VTKFile", type="Collection", version="0.1")
         series = ET.SubElement(collection, "Collection")
-        for i, state in enumerate(self.states if self.scene.outputs["increments"] else ()):
-            name = f"increment_{i:04d}.vtu"
-            self._mesh(i).write(folder / name)
-            ET.SubElement(series, "DataSet", timestep=f"{state.travel:.8g}", part="0", file=name)
+        followed = self.followed if self.scene.outputs["increments"] else []
+        for number, (result, i) in enumerate(followed):
+            name, travel = f"increment_{number:04d}.vtu", result.states[i].travel
+            result._mesh(i).write(folder / name)
+            ET.SubElement(series, "DataSet", timestep=f"{travel:.8g}", part="0", file=name)
         ET.ElementTree(collection).write(folder / "result.pvd", xml_declaration=True)
         self._mesh(-1).write(folder / "result.vtu")
 

@@ -72,8 +72,10 @@ class Scene:
         Discs of the flat blank over which the shear angle is averaged, mm, in the user's axes.
     edges : dict of direction to EdgePoint
         Where the draw-in is measured, on the whole sheet in the user's axes.
-    coarser : callable, optional
-        Builds the same scene at twice the size, for the error estimate.
+    resized : callable, optional
+        Builds the same scene at another size, for the error estimate and for mesh continuation.
+    coarsest : float
+        Largest size at which the path is worth following: that of the sharpest tool, mm.
     turn : float
         Angle of the model's x axis to the user's, degrees: where mirror planes are used they are
         the model's coordinate planes. Results are given in the user's axes.
@@ -101,9 +103,15 @@ class Scene:
     measures: dict[str, Callable[[FloatArray], float]] = field(default_factory=dict)
     areas: dict[str, tuple[tuple[float, float], float]] = field(default_factory=dict)
     edges: dict[str, EdgePoint] = field(default_factory=dict)
-    coarser: Callable[[], Scene] | None = None
+    resized: Callable[[float], Scene] | None = None
+    coarsest: float = 0.0
     turn: float = 0.0
     outputs: dict[str, bool] = field(default_factory=lambda: {"pictures": True, "increments": True})
+
+    @property
+    def size(self) -> float:
+        """Size of the mesh as the user gives it, mm."""
+        return float(self.parameters.get("size", self.blank.size))
 
     def prescribed(self, travel: float) -> tuple[FloatArray, FloatArray]:
         """Positions of the prescribed degrees of freedom at a travel, and their rate; (n_dofs,)."""

@@ -326,7 +326,7 @@ def test_a_mesh_along_the_fibres_from_a_file_gives_the_same_answer(tmp_path):
     assert own.scene.blank.pairs is None
     assert own.force == pytest.approx(cut.force, rel=1e-9)
     assert own.draw_in == pytest.approx(cut.draw_in, rel=1e-6, abs=1e-12)
-    assert own.scene.coarser is None
+    assert own.scene.resized is None
 
 
 def test_meshes_that_do_not_follow_the_fibres_are_told(tmp_path):
@@ -702,7 +702,7 @@ def test_what_the_call_leaves_out_is_taken_from_the_file():
 def test_the_coarser_scene_is_the_same_at_twice_the_size():
     file = changed("tetrahedron", orientation=90.0)
     scene = qf.forming(file, size=15.0, travel=10.0, law="best-fit", symmetry="none")
-    coarse = scene.coarser()
+    coarse = scene.resized(2 * scene.size)
     for key in ("orientation", "law", "travel", "symmetry", "turn"):
         assert coarse.parameters[key] == scene.parameters[key]
     assert coarse.parameters["size"] == 30.0

@@ -69,6 +69,27 @@ class Friction:
         self.anchor = np.where((p > 0)[:, None], points - keep[:, None] * s, np.nan)
         self._committed = points, p, self.anchor
 
+    def adopt(
+        self, x: FloatArray, before: FloatArray, touched: np.ndarray, limit: FloatArray
+    ) -> None:
+        """Take over from another mesh: x was reached from `before`, where points had touched.
+
+        Parameters
+        ----------
+        x, before : (n_dofs,) arrays, mm
+            Present positions, and those at the last commit; slip between them is not yet undone.
+        touched : (m,) bool array
+            Points that touched at the last commit.
+        limit : (m,) array
+            Greatest friction force, N, until the next `refresh`.
+        """
+        points = self.contact.relative(before)
+        p = self.contact.penetration(before)
+        p = np.where(touched, np.maximum(p, 1e-9), np.minimum(p, 0.0))
+        self._committed = points, p, np.where(touched[:, None], points, np.nan)
+        self.normal, self.limit = self.contact.normal(x), limit
+        self.anchor = self._committed[2]
+
     def _slide(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         arm = self.contact.relative(x) - self.anchor
         arm = np.where(np.isnan(arm), 0.0, arm)

@@ -1,5 +1,6 @@
-"""From a scene to its result: increments, Newton, relaxation, linear solvers."""
+"""From a scene to its result: increments, levels, Newton, relaxation, linear solvers."""
 
 from .increments import Progress, solve
+from .levels import refine
 
-__all__ = ["Progress", "solve"]
+__all__ = ["Progress", "refine", "solve"]

@@ -91,7 +91,7 @@ def solve(
         raise InputError(f"convex must be 'on demand' or 'always', got {convex!r}")
     clock = time.perf_counter()
     equilibrium = Equilibrium(scene, linear, tolerance, convex)
-    run = _Run(equilibrium, method, increment)
+    run = Run(equilibrium, method, increment)
     largest = min(increment or scene.increment, scene.travel)
     rows = increment or scene.rows
     shortest = SHORTEST * largest
@@ -150,13 +150,20 @@ def solve(
     if states[-1].travel < s:
         states.append(run.state(x, s))
     result = run.result(states, reason, time.perf_counter() - clock)
-    if estimate and not reason and scene.coarser:
+    if estimate and not reason and scene.resized:
         # too coarse to be built, or interrupted: the result stands without an estimate
         with suppress(InputError, KeyboardInterrupt):
             coarse = solve(
-                scene.coarser(), None, increment, method, linear, tolerance, convex, estimate=False
+                scene.resized(2 * scene.size),
+                None,
+                increment,
+                method,
+                linear,
+                tolerance,
+                convex,
+                estimate=False,
             )
-            result.compare_with_coarser(coarse)
+            result.judge([coarse])
     return result
 
 
@@ -174,7 +181,7 @@ class _Entry:
     rubbing: list[tuple[FloatArray, FloatArray]]  # force and place of the nodes on each tool
 
 
-class _Run:
+class Run:
     """The bookkeeping of one run: work, friction losses, rescues, certificate."""
 
     def __init__(self, equilibrium: Equilibrium, method: str, increment: float | None) -> None:
@@ -196,9 +203,20 @@ class _Run:
             self._commit(x)
         return x
 
-    def open(self, x: FloatArray) -> None:
-        """Open the books at the start."""
-        self.books.append(self._entry(x, 0.0))
+    def open(self, x: FloatArray, s: float = 0.0) -> None:
+        """Open the books at the start, or where a run takes over."""
+        self.books.append(self._entry(x, s))
+
+    def settle(self, x: FloatArray) -> FloatArray:
+        """Find the equilibrium near x and commit it.
+
+        Raises
+        ------
+        NotConvergedError
+        """
+        x = self._solve(x)
+        self._commit(x)
+        return x
 
     def advance(
         self, x: FloatArray, s: float, target: float, rescue: bool, weigh: bool
@@ -320,6 +338,7 @@ class _Run:
                 {"friction carried on": carried} if (carried := self.equilibrium.carried_on) else {}
             ),
             residual=self.equilibrium.residual(g, certified=True),
+            solve_s=self.equilibrium.solve_s / max(self.equilibrium.linear_solves, 1),
             settings={
                 "increment": self.increment,
                 "method": self.method,

@@ -8,6 +8,7 @@ driving force.
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -18,6 +19,7 @@ from ..scene import Scene
 from .linear import LinearSolver, SingularMatrixError, linear_solver
 
 FloatArray = np.ndarray
+LOOSER = 30.0  # tolerance on the way where friction has to settle, relative to that at the end
 
 
 class NotConvergedError(ArithmeticError):
@@ -38,11 +40,14 @@ class Equilibrium:
     linear : str
         Name of the linear solver.
     tolerance : float
-        Sum of the nodal force residuals relative to the driving force.
+        Sum of the nodal force residuals relative to the driving force, at the end of the travel;
+        on the way `LOOSER` times that.
     convex : "on demand" or "always"
         Which tangent to use.
     linear_solves : int
         Factorisations so far.
+    solve_s : float
+        Time spent on them with all solutions, s.
     travel : float
         Where the prescribed degrees of freedom are.
     carried : float
@@ -56,6 +61,7 @@ class Equilibrium:
     tolerance: float = 1e-4
     convex: str = "on demand"
     linear_solves: int = 0
+    solve_s: float = 0.0
     travel: float = 0.0
     carried: float = 2e-2
     carried_on: int = 0
@@ -117,10 +123,13 @@ class Equilibrium:
         if known is None or known[1] != convex or not np.array_equal(known[0], x):
             self._factored = None
             self.linear_solves += 1
+            clock = time.perf_counter()
             try:
                 self._factored = x.copy(), convex, self.solver.factor(values)
             except SingularMatrixError as error:
                 raise NotConvergedError(f"the tangent is singular: {error}", x, np.inf) from error
+            finally:
+                self.solve_s += time.perf_counter() - clock
         return self._factored[2], load
 
     def factor_definite(
@@ -156,10 +165,13 @@ class Equilibrium:
         return x + motion
 
     def _direction(self, x: FloatArray, force: FloatArray) -> FloatArray:
+        clock = time.perf_counter()
         try:
             return -self.solver.solve(force)
         except SingularMatrixError as error:
             raise NotConvergedError(str(error), x, np.inf) from error
+        finally:
+            self.solve_s += time.perf_counter() - clock
 
     def motion_to(self, x: FloatArray, travel: float) -> FloatArray:
         """(n_dofs,) motion of the prescribed degrees of freedom from x to `travel`, mm."""
@@ -170,8 +182,10 @@ class Equilibrium:
         membrane = self.scene.membrane
         return bool(((membrane.normals(x) * membrane.normals(trial)).sum(1) <= 0).any())
 
-    def minimise(self, x: FloatArray, max_iterations: int = 400) -> FloatArray:
-        """Newton iterations with the lagged values as they are.
+    def minimise(
+        self, x: FloatArray, max_iterations: int = 400, tolerance: float | None = None
+    ) -> FloatArray:
+        """Newton iterations with the lagged values as they are, to the tolerance or a looser one.
 
         Raises
         ------
@@ -179,11 +193,12 @@ class Equilibrium:
             With the reason, the place of the largest residual and the best state.
         """
         free = ~self.scene.fixed
+        tolerance = tolerance or self.tolerance
         convex_left = 0
         for _ in range(max_iterations):
             g = self.potential.gradient(x)
             residual = self.residual(g)
-            if residual < self.tolerance:
+            if residual < tolerance:
                 return x
             if convex_left:
                 self.factor(x, convex=True)
@@ -196,7 +211,7 @@ class Equilibrium:
             x = self._line_search(x, g, d, residual)
         raise NotConvergedError(
             f"no equilibrium in {max_iterations} Newton iterations: residual {residual:.1e} of the "
-            f"driving force against {self.tolerance:.0e}, largest {self.worst(g)}",
+            f"driving force against {tolerance:.0e}, largest {self.worst(g)}",
             x,
             residual,
         )
@@ -234,9 +249,10 @@ class Equilibrium:
         """Minimise and refresh the lagged values until the residual with fresh ones is small.
 
         The normal forces of friction are a fixed point, which Anderson's mixing (1965) speeds up:
-        the next ones are those at which the changes of the last passes would cancel. After a snap
-        a sheet may still creep for dozens of passes; on the way, the next increment may carry on
-        with the last of it.
+        the next ones are those at which the changes of the last passes would cancel. A pass is
+        solved to a fifth of what the last refreshing had left, no further. After a snap a sheet
+        may still creep for dozens of passes; on the way, the next increment may carry on with the
+        last of it.
 
         Raises
         ------
@@ -245,18 +261,21 @@ class Equilibrium:
         frictions = self.scene.frictions
         at_end = self.travel >= self.scene.travel * (1 - 1e-12)
         passes = 60 if at_end else 12
+        goal = self.tolerance * (1.0 if at_end or not frictions else LOOSER)
+        inner = max(goal, 0.1) if frictions else goal
         used, fresh = [], []  # normal forces that friction was solved with, and those then found
         for i in range(passes):
             used.append(np.concatenate([[0.0], *(term.limit for term in frictions)]))
-            x = self.minimise(x)
+            x = self.minimise(x, tolerance=inner)
             if not self.scene.remembering:
                 return x
             for term in self.scene.remembering:
                 term.refresh(x)
             self._factored = None
             residual = self.residual(self.potential.gradient(x))
-            if residual < (3 if i < 8 else 8) * self.tolerance:
+            if residual < (3 if i < 8 else 8) * goal:
                 return x
+            inner = max(goal, 0.2 * residual) if frictions else goal
             if not at_end and i >= 6 and residual < self.carried:
                 self.carried_on += 1
                 return x

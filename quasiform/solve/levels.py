@@ -1,0 +1,228 @@
+"""Mesh continuation: the path on a coarse mesh, its end carried to finer ones.
+
+With friction as mild as that of a fabric the end state hardly remembers the path, so that a coarse
+mesh may find the way. On each finer mesh only the end is solved. It starts from the positions of
+the coarser one, interpolated by cubics (Clough and Tocher) on the flat sheet. Friction starts from
+the last increment of the path: every point slips from where it would have been one increment
+earlier, and so presses in the direction in which it really slides; what a point bears is
+interpolated too, until the contact forces of the finer mesh are found.
+
+The meshes of a run need not be nested. Where the end is not found this way, as when a sheet buckles
+differently on a finer mesh, the path is followed there too, and the result says so.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import (
+    CloughTocher2DInterpolator,
+    LinearNDInterpolator,
+    NearestNDInterpolator,
+    RBFInterpolator,
+)
+
+from ..checks import InputError, check_number
+from ..energy.contact import Contact
+from ..result import Result, State
+from ..scene import Scene
+from .increments import Progress, Run, solve
+from .newton import Equilibrium, NotConvergedError
+
+FloatArray = np.ndarray
+FINEST = 16  # of the size asked for, when refining to an accuracy
+CARRIED = 5.0  # mm: length of the last increment that friction starts from, at least a row
+
+
+def refine(
+    scene: Scene,
+    callback: Callable[[Progress], None] | None = None,
+    accuracy: float | None = None,
+    increment: float | None = None,
+    linear: str = "auto",
+    tolerance: float = 1e-4,
+) -> Result:
+    """Solve the end of a scene on its mesh, and the way there on a coarser one.
+
+    Parameters
+    ----------
+    scene : Scene
+        Its size is that of the end state; with `accuracy`, that of the first mesh to be judged.
+    callback : callable, optional
+        Told the `Progress` of the path.
+    accuracy : float, optional
+        Halve the size until the estimated error of the 99th percentile of the shear angle is
+        below it, degrees.
+    increment : float, optional
+        Of the path.
+    linear : str
+        Linear solver.
+    tolerance : float
+        Sum of the nodal residuals relative to the driving force.
+
+    Returns
+    -------
+    Result
+        With the path as its `path`, and the coarser levels in its estimate.
+
+    Raises
+    ------
+    InputError
+        For bad numbers.
+    """
+    if accuracy is not None:
+        check_number("accuracy", accuracy)
+    clock = time.perf_counter()
+    scenes = [scene]
+    while scene.resized and 2 * scenes[0].size <= scene.coarsest * (1 + 1e-9):
+        try:
+            scenes.insert(0, scene.resized(2 * scenes[0].size))
+        except InputError:  # too coarse for the blank
+            break
+    path = solve(scenes[0], callback, increment, linear=linear, tolerance=tolerance, estimate=False)
+    levels, last = [path], _last_increment(path)
+    finest = scene.size / FINEST
+    waiting = scenes[1:]
+    while not levels[-1].reason:
+        if not waiting and _accurate(levels, accuracy) is False:
+            size = levels[-1].scene.size / 2
+            if scene.resized and size >= finest * (1 - 1e-9):
+                waiting = [scene.resized(size)]
+        if not waiting:
+            break
+        result, last = _carry(levels[-1], waiting.pop(0), last, path, linear, tolerance)
+        levels.append(result)
+    result = levels[-1]
+    result.judge(levels[:-1])
+    if len(levels) == 1 and not result.reason and scene.resized:
+        with suppress(InputError):  # too coarse to be built: the result stands without an estimate
+            coarse = scene.resized(2 * scene.size)
+            result.judge([solve(coarse, None, increment, linear=linear, estimate=False)])
+    result.wall_s = time.perf_counter() - clock
+    return result
+
+
+def _accurate(levels: list[Result], accuracy: float | None) -> bool | None:
+    """Whether the last level is accurate enough; None if nobody asks."""
+    if accuracy is None:
+        return None
+    levels[-1].judge(levels[:-1])
+    error = levels[-1].estimate["shear_angle_deg"]
+    return error is not None and error <= accuracy
+
+
+@dataclass(frozen=True)
+class _Motion:
+    """Motion of a sheet over the last increment of its path, (n_dofs,) mm."""
+
+    scene: Scene
+    dx: FloatArray
+
+
+def _last_increment(path: Result) -> _Motion:
+    end = path.states[-1]
+    rows = [s for s in path.states if s.travel <= end.travel - CARRIED * (1 - 1e-9)]
+    return _Motion(path.scene, end.x - (rows[-1] if rows else path.states[0]).x)
+
+
+def _carry(
+    coarse: Result, scene: Scene, last: _Motion, path: Result, linear: str, tolerance: float
+) -> tuple[Result, _Motion]:
+    """Solve the end of a scene from that of a coarser one; the path too where that fails."""
+    clock = time.perf_counter()
+    equilibrium = Equilibrium(scene, linear, tolerance)
+    equilibrium.travel = coarse.states[-1].travel
+    run = Run(equilibrium, "newton", None)
+    try:
+        x, before = transferred(coarse, scene, last)
+        start = _start(scene, path)
+        x = run.settle(x)
+        if scene.lost(x):
+            raise NotConvergedError(scene.lost(x), x, np.inf)
+    except NotConvergedError:
+        result = solve(scene, None, linear=linear, tolerance=tolerance, estimate=False)
+        result.rescues["path followed on the finer mesh"] = 1
+        return result, _last_increment(result)
+    motion = _Motion(scene, x - before)
+    run.open(x, equilibrium.travel)
+    run.collapse = path.collapse or scene.collapsed(x, equilibrium.travel)
+    states = [State(0.0, start, 0.0, 0, {n: m(start) for n, m in scene.measures.items()})]
+    states.append(run.state(x, equilibrium.travel))
+    result = run.result(states, "", time.perf_counter() - clock)
+    result.path, result.energy_balance = path, path.energy_balance
+    scene.model.append(
+        (
+            f"path on a mesh of {path.scene.size:g} mm",
+            f"only the end is solved at {scene.size:g} mm; the forces along the travel come from "
+            "there (--size keeps one mesh)",
+        )
+    )
+    result.increments = path.increments + 1
+    result.rescues = {
+        rung: result.rescues.get(rung, 0) + coarse.rescues.get(rung, 0)
+        for rung in [*coarse.rescues, *result.rescues]
+    }
+    result.linear_solves += coarse.linear_solves * coarse.solve_s / result.solve_s
+    return result, motion
+
+
+def transferred(coarse: Result, scene: Scene, last: _Motion) -> tuple[FloatArray, FloatArray]:
+    """Carry the end of a result to another mesh of the same scene.
+
+    Parameters
+    ----------
+    coarse : Result
+    scene : Scene
+        Its friction takes over from that of the result.
+    last : _Motion
+        Over the last increment.
+
+    Returns
+    -------
+    x, before : (n_dofs,) arrays, mm
+        Positions at the end, and one increment earlier.
+    """
+    old, end = coarse.scene, coarse.states[-1]
+    X, Y, n = old.blank.nodes, scene.blank.nodes, old.n_nodal
+    moved = old.positions(end.x) - old.positions(old.x0)
+    increment = old.positions(last.dx)
+    fields = np.column_stack([moved, increment])
+    values = CloughTocher2DInterpolator(X, fields)(Y)
+    outside = np.isnan(values).any(1)  # a finer outline bulges beyond the coarser polygon
+    if outside.any():
+        values[outside] = RBFInterpolator(X, fields, neighbors=20, degree=1)(Y[outside])
+    x, dx = scene.x0.copy(), np.zeros_like(scene.x0)
+    x[: scene.n_nodal] += values[:, : scene.dim].ravel()
+    dx[: scene.n_nodal] = values[:, scene.dim :].ravel()
+    x[scene.n_nodal :], dx[scene.n_nodal :] = end.x[n:], last.dx[n:]
+    x = np.where(scene.fixed, scene.prescribed(end.travel)[0], x)
+    dx[: scene.n_nodal][scene.fixed[: scene.n_nodal]] = 0.0
+    known = {term.name: term for term in old.frictions}
+    for term in scene.frictions:
+        pressure = np.zeros(len(term.limit))
+        if term.name in known:
+            rubbing = known[term.name]
+            flat, per_area = _flat(rubbing.contact, old), rubbing.limit / rubbing.contact.area
+            there = _flat(term.contact, scene)
+            pressure = LinearNDInterpolator(flat, per_area)(there)
+            outside = np.isnan(pressure)
+            pressure[outside] = NearestNDInterpolator(flat, per_area)(there[outside])
+        term.adopt(x, x - dx, pressure > 0, pressure * term.contact.area)
+    return x, x - dx
+
+
+def _flat(contact: Contact, scene: Scene) -> FloatArray:
+    """(m, 2) places of the contact points on the flat sheet, mm."""
+    points = contact.points
+    return (points.weights[:, :, :2] * scene.blank.nodes[points.nodes]).sum(1)
+
+
+def _start(scene: Scene, path: Result) -> FloatArray:
+    """(n_dofs,) start of the travel, with the resting tools where the path had them."""
+    x = scene.x0.copy()
+    x[scene.n_nodal :] = path.states[0].x[path.scene.n_nodal :]
+    return x

@@ -1,0 +1,166 @@
+"""Mesh continuation and the error estimate."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import quasiform as qf
+from quasiform.measure import discretisation_error
+from quasiform.solve import levels
+from quasiform.solve.levels import transferred
+
+
+@pytest.fixture(scope="module")
+def refined():
+    return qf.refine(qf.forming("hemisphere", size=5, travel=30))
+
+
+@pytest.fixture(scope="module")
+def full():
+    return qf.solve(qf.forming("hemisphere", size=5, travel=30))
+
+
+def test_the_end_is_that_of_the_full_path(refined, full):
+    assert refined.status == full.status == "completed"
+    assert refined.certified is True
+    assert refined.scene.size == full.scene.size == 5
+    assert refined.force == pytest.approx(full.force, rel=5e-3)
+    estimate = refined.estimate
+    off = refined.quantities["shear_angle_deg"] - full.quantities["shear_angle_deg"]
+    assert abs(off) < 0.1 * estimate["shear_angle_deg"]
+    assert_allclose(refined.shear_angle, full.shear_angle, atol=0.5)
+
+
+def test_it_takes_a_fraction_of_the_solves(refined, full):
+    fine = refined.states[-1].linear_solves
+    assert fine < 0.3 * full.linear_solves
+    assert fine < refined.linear_solves < full.linear_solves
+
+
+def test_the_history_says_where_it_comes_from(refined, tmp_path):
+    history = refined.history
+    assert list(history)[-1] == "size_mm"
+    assert_allclose(history["size_mm"], [10.0] * 6 + [5.0])
+    assert_allclose(history["travel_mm"], np.arange(0.0, 31.0, 5.0))
+    assert history["force_N"][-1] == refined.force
+    assert refined.summary()["path_size_mm"] == 10.0
+    assert any("path on a mesh of 10 mm" in entry for entry in refined.summary()["model"])
+    refined.save(tmp_path / "out", pictures=False)
+    assert len(list((tmp_path / "out").glob("increment_*.vtu"))) == 7
+    text = (tmp_path / "out" / "result.vtu").read_text(errors="ignore")
+    assert "shear_angle_error" in text
+
+
+def test_a_full_path_has_one_mesh_and_says_nothing_of_sizes(full):
+    assert full.path is None
+    assert "size_mm" not in full.history
+    assert full.summary()["path_size_mm"] is None
+
+
+def test_accuracy_refines_until_the_estimate_is_below_it():
+    scene = qf.forming("hemisphere", size=10, travel=15)
+    loose = qf.refine(scene, accuracy=20.0)
+    # one level has no estimate, so there is a second one
+    assert loose.scene.size == 5
+    error = loose.estimate["shear_angle_deg"]
+    assert error < 20
+    sharp = qf.refine(qf.forming("hemisphere", size=10, travel=15), accuracy=0.9 * error)
+    assert sharp.scene.size == 2.5
+    assert sharp.path.scene.size == 10
+
+
+@pytest.mark.parametrize("accuracy", [0.0, -1.0, np.nan])
+def test_accuracy_must_be_positive(accuracy):
+    with pytest.raises(qf.InputError, match="accuracy must be a positive number"):
+        qf.refine(qf.forming("hemisphere"), accuracy=accuracy)
+
+
+def test_a_scene_that_is_as_coarse_as_its_tools_allow_is_solved_as_it_is():
+    result = qf.refine(qf.forming("hemisphere", size=10, travel=10))
+    assert result.path is None
+    assert result.estimate["shear_angle_deg"] > 0  # from a mesh twice as coarse
+
+
+def test_a_path_that_stops_is_the_result(monkeypatch):
+    stopped = qf.solve(qf.forming("hemisphere", size=10, travel=5), estimate=False)
+    stopped.reason = "torn"
+    monkeypatch.setattr(levels, "solve", lambda *arguments, **named: stopped)
+    result = qf.refine(qf.forming("hemisphere", size=5, travel=5))
+    assert result is stopped
+    assert result.scene.size == 10
+
+
+def test_where_the_end_is_not_found_the_path_is_followed(monkeypatch):
+    def lost(*arguments):
+        raise levels.NotConvergedError("lost", np.zeros(1), 1.0)
+
+    monkeypatch.setattr(levels, "transferred", lost)
+    result = qf.refine(qf.forming("hemisphere", size=5, travel=10))
+    assert result.rescues["path followed on the finer mesh"] == 1
+    assert result.certified is True
+    assert result.path is None
+
+
+def test_a_plane_test_is_refined_too():
+    scene = qf.off_axis_tension(45, displacement=20, size=10)
+    result = qf.refine(scene)
+    full = qf.solve(qf.off_axis_tension(45, displacement=20, size=10), estimate=False)
+    assert result.path.scene.size == 20
+    assert result.force == pytest.approx(full.force, rel=1e-4)
+
+
+def test_a_smooth_state_is_carried_exactly_where_cubics_are_exact():
+    coarse = qf.solve(qf.forming("hemisphere", size=20, travel=1), estimate=False)
+    end = coarse.states[-1]
+    X = coarse.scene.blank.nodes
+    end.x[:] = coarse.scene.x0
+    bent = 1e-3 * X[:, 0] ** 2
+    end.x[2 : coarse.scene.n_nodal : 3] += bent
+    last = levels._Motion(coarse.scene, np.zeros_like(end.x))
+    fine = qf.forming("hemisphere", size=10, travel=1)
+    x, before = transferred(coarse, fine, last)
+    Y = fine.blank.nodes
+    inner = (Y > 20).all(1) & (Y < 130).all(1)
+    z = (x - fine.x0)[2 : fine.n_nodal : 3]
+    assert_allclose(z[inner], 1e-3 * Y[inner, 0] ** 2, atol=0.02)
+    assert_allclose(x, before)
+
+
+def test_friction_starts_from_the_last_increment():
+    coarse = qf.solve(qf.forming("hemisphere", size=10, travel=15), estimate=False)
+    fine = qf.forming("hemisphere", size=5, travel=15)
+    x, before = transferred(coarse, fine, levels._last_increment(coarse))
+    assert np.abs(x - before).max() > 4.0  # the punch has moved by 5 mm
+    limits = [[t.limit.sum() for t in scene.frictions] for scene in (coarse.scene, fine)]
+    assert_allclose(np.sum(limits[1]), np.sum(limits[0]), rtol=0.05)
+    for term in fine.frictions:
+        assert np.abs(term.force(x)).sum() > 0.5 * term.limit.sum()  # slips where it bears
+
+
+# The estimate
+
+
+@pytest.mark.parametrize("order", [1.0, 1.5, 2.0])
+def test_the_error_of_a_converging_value_is_bounded(order):
+    exact, values = 3.0, [3.0 + 0.7 * h**order for h in (1.0, 2.0, 4.0)]
+    error = values[0] - exact
+    assert error < discretisation_error(values) < 1.4 * error
+    assert discretisation_error(values[:2]) >= error
+
+
+def test_two_levels_that_happen_to_agree_are_not_believed():
+    assert discretisation_error([1.0, 1.0, 1.4]) == pytest.approx(1.25 * 0.1 / 3.0)
+    assert discretisation_error([1.0, 1.0, 1.0]) == 0.0
+
+
+def test_the_error_of_a_diverging_value_is_the_last_change():
+    assert discretisation_error([1.0, 2.0, 2.5]) == pytest.approx(1.25)
+
+
+def test_the_estimate_holds_for_the_hemisphere():
+    """Against size 2.5, in at least nine of ten quantities."""
+    judged = qf.refine(qf.forming("hemisphere", size=5, travel=30))
+    finer = qf.refine(qf.forming("hemisphere", size=2.5, travel=30)).quantities
+    inside = [abs(judged.quantities[n] - finer[n]) <= e for n, e in judged.estimate.items()]
+    assert np.mean(inside) >= 0.9
+    assert len(inside) == 10
