@@ -400,7 +400,10 @@ class Result:
                 "p99": percentile(gamma, blank.areas, 0.99),
                 "mean": float(blank.areas @ gamma / blank.areas.sum()),
             },
-            "error_estimate": self.estimate,
+            "error_estimate": {
+                name: self.estimate[name] for name in ("shear_angle_deg", "force_N")
+            },
+            "estimated_errors": self.estimate,
             "equilibrium": {
                 "residual_relative": self.residual,
                 "energy_balance_relative": self.energy_balance,

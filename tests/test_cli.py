@@ -424,6 +424,7 @@ def test_what_the_command_leaves_out_is_taken_from_the_file(monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(cli, "solve", solve)
+    monkeypatch.setattr(cli, "refine", solve)
     Path("mine.toml").write_text(MINE, encoding="utf-8")
     assert main(["form", "mine.toml"]) == 3
     given = "--orientation 0 --law locking --size 30 --travel 1 --symmetry auto"
@@ -697,8 +698,9 @@ def test_the_script_of_the_readme_runs(monkeypatch):
 
     qf_solve = qf.solve
     monkeypatch.setattr(qf, "solve", small)
+    monkeypatch.setattr(qf, "refine", lambda scene, accuracy: small(scene))
     exec(script, {})
-    assert solved == ["oat-45", "hemisphere-45"]
+    assert solved == ["oat-45", "hemisphere-45", "hemisphere-0"]
     assert FILES <= set(contents(Path("out")))
 
 

@@ -7,6 +7,7 @@ import quasiform as qf
 from quasiform import theory
 from quasiform.energy.bending import Bending
 from quasiform.energy.membrane import Membrane
+from quasiform.solve.newton import Equilibrium
 
 
 @pytest.mark.parametrize("angle", [44.9, 44.95, 44.99, 45.01, 45.05, 45.1])
@@ -71,6 +72,15 @@ def test_a_scene_by_hand_without_bending_is_told_and_saved(tmp_path):
     assert result.status == "completed"
     assert result.summary()["wrinkles"]["flange_lift_mm"] >= 0.0
     result.save(tmp_path / "out", pictures=False)
+
+
+def test_round_off_is_no_residual_before_a_tool_has_touched():
+    scene = qf.off_axis_tension(size=40)
+    equilibrium = Equilibrium(scene)
+    g = np.where(scene.fixed, 0.0, 1e-13)
+    assert equilibrium.force(g) == 0.0
+    assert equilibrium.residual(g) < 1e-4
+    assert equilibrium.residual(1e6 * g) > 1e-4
 
 
 class Spring:

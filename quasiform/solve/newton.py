@@ -19,6 +19,7 @@ from ..scene import Scene
 from .linear import LinearSolver, SingularMatrixError, linear_solver
 
 FloatArray = np.ndarray
+LEAST_FORCE = 1e-6  # N: what a driving force counts for where a tool has not touched yet
 LOOSER = 30.0  # tolerance on the way where friction has to settle, relative to that at the end
 
 
@@ -96,7 +97,7 @@ class Equilibrium:
         total += np.abs(r[scene.n_nodal :]).sum()
         if scene.dead_load:
             return float(total / scene.dead_load)
-        floor = 1e-9 if certified else 0.02 * scene.resting + 1e-9
+        floor = LEAST_FORCE if certified else 0.02 * scene.resting + LEAST_FORCE
         return float(total / max(abs(self.force(g)), floor))
 
     def worst(self, g: FloatArray) -> str:
