@@ -154,7 +154,7 @@ def off_axis_tension(
                 angle, fabric, length, width, displacement, size, mesh
             )
         ),
-        coarsest=width / 8,
+        coarsest=width / 4,
     )
 
 

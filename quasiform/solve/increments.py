@@ -153,17 +153,9 @@ def solve(
     if estimate and not reason and scene.resized:
         # too coarse to be built, or interrupted: the result stands without an estimate
         with suppress(InputError, KeyboardInterrupt):
-            coarse = solve(
-                scene.resized(2 * scene.size),
-                None,
-                increment,
-                method,
-                linear,
-                tolerance,
-                convex,
-                estimate=False,
-            )
-            result.judge([coarse])
+            sizes = [2 * scene.size] + [4 * scene.size] * (4 * scene.size <= scene.coarsest)
+            settings = (None, increment, method, linear, tolerance, convex, False)
+            result.judge([solve(scene.resized(size), *settings) for size in reversed(sizes)])
     return result
 
 
