@@ -118,21 +118,21 @@ class ThreeStageLaw:
 
     def energy(self, I: FloatArray, I0: float = 0.0) -> FloatArray:
         """W(I) in mJ/mm³ = MPa, zero at I0; same shape as `I`."""
-        x = np.abs(I - I0)
         if self.linear:
-            return 0.5 * self.C_ini * x**2
+            return 0.5 * self.C_ini * (I - I0) ** 2
+        x = np.abs(I - I0)
         It, c, y, z = self._stages(x)
         E = -np.expm1(-c * y)  # 1 - exp(-c y)
         plateau = self.S_ini * y + 0.5 * self.C_mid * y**2 + self.dS_mid * (y - E / c)
         # ∫ C_mid y exp(-c y) dy, subtracted
         plateau -= self.C_mid * (E / c**2 - y * (1.0 - E) / c)
-        return 0.5 * self.C_ini * np.minimum(x, It) ** 2 + plateau + self.C_lo * z**3 / 3.0
+        return 0.5 * self.C_ini * np.minimum(x, It) ** 2 + plateau + self.C_lo * z * z**2 / 3.0
 
     def stress(self, I: FloatArray, I0: float = 0.0) -> FloatArray:
         """dW/dI in MPa (Eq. 9, with the sign of I - I0); same shape as `I`."""
-        x = np.abs(I - I0)
         if self.linear:
             return self.C_ini * (I - I0)
+        x = np.abs(I - I0)
         It, c, y, z = self._stages(x)
         value = self.C_ini * np.minimum(x, It)
         value = value - (self.C_mid * y + self.dS_mid) * np.expm1(-c * y) + self.C_lo * z**2
@@ -140,9 +140,9 @@ class ThreeStageLaw:
 
     def stiffness(self, I: FloatArray, I0: float = 0.0) -> FloatArray:
         """d²W/dI² in MPa, positive everywhere; same shape as `I`."""
-        x = np.abs(I - I0)
         if self.linear:
-            return np.full_like(x, self.C_ini)
+            return np.full_like(I, self.C_ini, dtype=float)
+        x = np.abs(I - I0)
         It, c, y, z = self._stages(x)
         E = np.exp(-c * y)
         later = (

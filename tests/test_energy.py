@@ -48,6 +48,7 @@ FABRIC = replace(
     bending_weft=1.9,
     in_plane_bending=0.2,
 )
+ROUND = replace(FABRIC, in_plane_bending=1.0)
 STIFF = Fabric.preset("locking")
 SHAPES = {
     "plane": Plane(),
@@ -178,10 +179,10 @@ def patch_bending():
     return Case(PatchBending(blank, FABRIC), deformed(blank))
 
 
-def bending(blank, clamp=False):
+def bending(blank, clamp=False, fabric=FABRIC):
     blank = BLANKS[blank]
     clamped = np.isclose(blank.nodes[:, 0], blank.nodes[:, 0].min()) if clamp else None
-    return Case(Bending(blank, FABRIC, clamped), deformed(blank))
+    return Case(Bending(blank, fabric, clamped), deformed(blank))
 
 
 def contact(name, sort="at nodes", tilts=False):
@@ -234,6 +235,7 @@ FREE = {
     "patch bending": patch_bending,
     "bending": lambda: bending("aligned"),
     "bending, cut": lambda: bending("cut"),
+    "bending alike in every direction": lambda: bending("aligned", fabric=ROUND),
 }
 SIMPLE = {
     f"{term.__name__}, {name}": lambda term=term, name=name: term(name)
@@ -255,6 +257,7 @@ ON_TOOLS = SIMPLE | {
 HELD = {
     "bending, clamped": lambda: bending("aligned", clamp=True),
     "bending, mirrored": lambda: bending("quarter"),
+    "bending alike in every direction, clamped": lambda: bending("aligned", True, ROUND),
     "weight of the sheet": sheet_weight,
     "weight of a tool": tool_weight,
     "gripper": gripper,
@@ -475,14 +478,15 @@ def test_half_holds_half_of_the_force_and_moment_of_a_tool_that_tilts_in_its_pla
 # The sum
 
 
-def test_potential_sums_its_terms_over_shared_degrees_of_freedom():
+@pytest.mark.parametrize("fabric", [FABRIC, ROUND], ids=["bending", "quadratic bending"])
+def test_potential_sums_its_terms_over_shared_degrees_of_freedom(fabric):
     blank = BLANKS["aligned"]
     height = 3 * len(blank.nodes)
     unused = height + 1  # keeps its place on the diagonal
     tool = Tool("punch", SHAPES["punch"], motion="driven")
     terms = [
         Membrane(blank, FABRIC, 3),
-        Bending(blank, FABRIC),
+        Bending(blank, fabric),
         Contact(blank, FABRIC, tool, height),
     ]
     x = np.append(deformed(blank), [0.5, 0.0])
@@ -509,6 +513,24 @@ def test_potential_sums_its_terms_over_shared_degrees_of_freedom():
     assert np.abs(slope).max() > 1e-3 * scale
     assert_allclose(load, slope, rtol=0, atol=1e-6 * scale)
     assert not potential.hessian(x, False)[1].any()
+
+
+def pressed_at_mirror_planes():
+    """Nodes on a mirror plane are averaged with the same neighbour on both sides."""
+    blank = BLANKS["quarter"]
+    term = Contact(blank, FABRIC, Tool("plate", Plane()), 3 * len(blank.nodes))
+    return Case(term, flat(blank, rigid=1))
+
+
+@pytest.mark.parametrize("make", [pressed_at_mirror_planes, lambda: paired_membrane(3)])
+def test_a_stencil_that_holds_a_degree_of_freedom_twice_is_summed_in_full(make):
+    term, x = make().term, make().x
+    potential = Potential([term], np.ones(len(x), dtype=bool))
+    K = potential.pattern.copy()
+    K.data = potential.hessian(x, False)[0]
+    full = np.zeros((len(x), len(x)))
+    np.add.at(full, (term.dofs[:, :, None], term.dofs[:, None]), term.hessian(x, False))
+    assert_allclose(K.toarray(), np.triu(full), rtol=0, atol=1e-12 * np.abs(full).max())
 
 
 class Whole:

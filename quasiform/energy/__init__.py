@@ -10,7 +10,9 @@ Hessians of its stencils::
 
 x is the flat vector of node positions followed by the rigid degrees of freedom (tool heights, load
 factors). Evaluating changes nothing. A term with memory also has `refresh(x)` (lagged values,
-between Newton solves) and `commit(x)` (after a converged increment).
+between Newton solves) and `commit(x)` (after a converged increment). A term whose Hessian is the
+same everywhere may say so, `quadratic = True`: it is then evaluated and summed once. Gradients and
+Hessians that are kept with the stencils as the last axis in memory are summed without a copy.
 """
 
 from __future__ import annotations
@@ -62,27 +64,42 @@ class Potential:
 
     def __init__(self, terms: list[Term], free: np.ndarray) -> None:
         self.terms, self.free = terms, free
+        dofs = np.concatenate([term.dofs.T.ravel() for term in terms])
+        ones, local = np.ones(len(dofs)), np.arange(len(dofs))
+        self._sum_of_gradients = csr_array((ones, (dofs, local)), (len(free), len(dofs)))
         number = np.where(free, np.cumsum(free) - 1, -1)
         n = int(free.sum())
-        keys, self._kept = [], []
+        keys, shares = [], []
         for term in terms:
-            local = number[term.dofs]
-            rows = np.repeat(local[:, :, None], local.shape[1], axis=2).ravel()
-            columns = np.repeat(local[:, None, :], local.shape[1], axis=1).ravel()
-            kept = np.flatnonzero((rows >= 0) & (columns >= rows))  # upper triangle
-            self._kept.append(kept)
-            keys.append(rows[kept].astype(np.int64) * n + columns[kept])
-        diagonal = np.arange(n, dtype=np.int64) * (n + 1)
-        unique, inverse = np.unique(np.concatenate([*keys, diagonal]), return_inverse=True)
-        self._slots = np.split(inverse, np.cumsum([len(k) for k in keys]))[:-1]
-        self._selective = [isinstance(term, Selective) for term in terms]
-        for i, term in enumerate(terms):
-            if self._selective[i]:  # by stencil; what is not kept goes to a last slot
-                slots = np.full(term.dofs.size * term.dofs.shape[1], len(unique))
-                slots[self._kept[i]] = self._slots[i]
-                self._slots[i] = slots.reshape(len(term.dofs), -1).astype(np.int32)
-        indptr = np.searchsorted(unique, np.arange(n + 1, dtype=np.int64) * n)
-        self.pattern = csr_array((np.zeros(len(unique)), unique % n, indptr), shape=(n, n))
+            i, j = np.triu_indices(term.dofs.shape[1])
+            a, b = number[term.dofs[:, i]], number[term.dofs[:, j]]
+            key = np.minimum(a, b) * n + np.maximum(a, b)
+            keys.append(np.where(np.minimum(a, b) < 0, n * n, key))  # prescribed: a last slot
+            # where two of a stencil are one degree of freedom, H_ij and H_ji fall on its diagonal
+            shares.append(np.where((a == b) & (i != j), 2, 1).astype(np.int8))
+        diagonal = np.arange(n) * (n + 1)
+        keys_of_all = np.concatenate([*(key.ravel() for key in keys), diagonal, [n * n]])
+        unique, slots = np.unique(keys_of_all, return_inverse=True)
+        nnz = len(unique) - 1
+        indptr = np.searchsorted(unique, np.arange(n + 1) * n)
+        self.pattern = csr_array((np.zeros(nnz), unique[:-1] % n, indptr), shape=(n, n))
+        # where Hessians go: by stencil if few act at a time, else as the sum of all
+        self._slots, self._sums = [None] * len(terms), [None] * len(terms)
+        self._constant = np.zeros(nnz + 1)
+        for t, (term, key, share) in enumerate(zip(terms, keys, shares, strict=True)):
+            own, slots = slots[: key.size].reshape(key.shape), slots[key.size :]
+            if isinstance(term, Selective):
+                self._slots[t] = own.astype(np.int32), share
+                continue
+            m, k = term.dofs.shape
+            i, j = np.triu_indices(k)
+            place = (i * k + j) * m + np.arange(m)[:, None]  # in an array with the stencils last
+            entries = share.ravel().astype(float), (own.ravel(), place.ravel())
+            total = csr_array(entries, shape=(nnz + 1, k * k * m))
+            if getattr(term, "quadratic", False):
+                self._constant += total @ term.hessian(np.zeros(len(free)), False).T.ravel()
+            else:
+                self._sums[t] = total
 
     def energy(self, x: FloatArray) -> float:
         """Total energy, mJ."""
@@ -90,10 +107,9 @@ class Potential:
 
     def gradient(self, x: FloatArray) -> FloatArray:
         """(n_dofs,) derivative by all degrees of freedom, N; zero on the free ones at rest."""
-        g = np.zeros(len(x))
-        for term in self.terms:
-            g += np.bincount(term.dofs.ravel(), term.gradient(x).ravel(), minlength=len(x))
-        return g
+        return self._sum_of_gradients @ np.concatenate(
+            [term.gradient(x).T.ravel() for term in self.terms]
+        )
 
     def hessian(
         self, x: FloatArray, convex: bool, motion: FloatArray | None = None
@@ -115,23 +131,25 @@ class Potential:
         load : (n_free,) array, N
             Change of the free forces under `motion`; zeros without one.
         """
-        values = np.zeros(self.pattern.nnz)
+        values = self._constant.copy()
         load = np.zeros(len(x))
-        for term, selective, kept, slots in zip(
-            self.terms, self._selective, self._kept, self._slots, strict=True
-        ):
+        for term, slots, total in zip(self.terms, self._slots, self._sums, strict=True):
             dofs = term.dofs
-            if selective:
+            if slots is not None:
                 rows = term.active(x)
                 if not len(rows):
                     continue
                 H, dofs = term.hessian(x, convex, rows), dofs[rows]
-                new = np.bincount(slots[rows].ravel(), H.ravel(), minlength=len(values) + 1)
-                values += new[:-1]
-            else:
+                slots, share = (table[rows] for table in slots)
+                i, j = np.triu_indices(dofs.shape[1])
+                upper = share * H.reshape(len(rows), -1).take(i * dofs.shape[1] + j, axis=1)
+                np.add.at(values, slots.ravel(), upper.ravel())
+            elif total is not None:
                 H = term.hessian(x, convex)
-                values += np.bincount(slots, H.reshape(-1)[kept], minlength=len(values))
+                values += total @ H.T.ravel()
+            elif motion is not None:  # what is quadratic is in the constant
+                H = term.hessian(x, convex)
             if motion is not None and (moved := motion[dofs]).any():
                 push = (H @ moved[:, :, None])[:, :, 0]
                 load += np.bincount(dofs.ravel(), push.ravel(), minlength=len(x))
-        return values, load[self.free]
+        return values[:-1], load[self.free]

@@ -8,7 +8,8 @@ and κ = n·k with the unit normal n = (u x v)/|u x v| of the line tangents u (w
 The derivatives are by the reference arc lengths, so κ follows the fibres at any shear, without
 rotation degrees of freedom, Poisson's effect or twist. The in-plane part of k is resisted with the
 fraction r of the stiffness: B/2 [(1 - r)(n·k)² + r |k|²]. It is an exact potential: n is a function
-of the same five nodes and is differentiated with the rest.
+of the same five nodes and is differentiated with the rest. With r = 1 it is quadratic, and no
+normal is needed.
 
 A clamp or a mirror plane supplies the missing neighbour and counts for the half of the stencil's
 area that lies in the model: k = 2 (x₁ - x₀ - l t)/l² at a clamp with the direction t. A free end
@@ -105,11 +106,17 @@ class Bending:
         self.dofs = (3 * nodes[:, :, None] + np.arange(3)).reshape(m, 3 * k)
         self.stiffness = areas[:, None] * [fabric.bending_warp, fabric.bending_weft]
         self.in_plane = fabric.in_plane_bending
+        self.quadratic = self.in_plane == 1
 
     def curvature(self, x: FloatArray) -> FloatArray:
         """(n_stencils, 2) curvatures κ11 of the warp and κ22 of the weft, 1/mm."""
         k, _, _, n, _ = self._frame(x)
         return np.einsum("sfc,sc->sf", k, n)
+
+    def _second_differences(self, x: FloatArray) -> FloatArray:
+        """(n_stencils, 2, 3) k of warp and weft."""
+        k = (self.operator[:, :6] @ x[self.dofs][:, :, None]).reshape(-1, 2, 3)
+        return k + self.constant[:, :2]
 
     def _frame(self, x: FloatArray) -> tuple[FloatArray, ...]:
         y = (self.operator @ x[self.dofs][:, :, None])[:, :, 0].reshape(-1, 4, 3) + self.constant
@@ -120,9 +127,12 @@ class Bending:
 
     def energy(self, x: FloatArray) -> FloatArray:
         """Energy of each stencil, mJ."""
+        r = self.in_plane
+        if r == 1:
+            k = self._second_differences(x)
+            return 0.5 * np.einsum("sf,sfc,sfc->s", self.stiffness, k, k)
         k, _, _, n, _ = self._frame(x)
         kappa = np.einsum("sfc,sc->sf", k, n)
-        r = self.in_plane
         return 0.5 * (self.stiffness * ((1 - r) * kappa**2 + r * (k**2).sum(-1))).sum(1)
 
     def _first_derivative(self, x: FloatArray) -> tuple[FloatArray, ...]:
@@ -138,8 +148,11 @@ class Bending:
 
     def gradient(self, x: FloatArray) -> FloatArray:
         """Nodal forces of each stencil, N."""
-        k, *_, kappa, _, d = self._first_derivative(x)
         r = self.in_plane
+        if r == 1:
+            force = self.stiffness[..., None] * self._second_differences(x)
+            return (force.reshape(-1, 1, 6) @ self.operator[:, :6])[:, 0]
+        k, *_, kappa, _, d = self._first_derivative(x)
         force = np.einsum("sf,sfrc->src", (1 - r) * self.stiffness * kappa, d)
         force[:, :2] += r * self.stiffness[..., None] * k
         return (force.reshape(-1, 1, 12) @ self.operator)[:, 0]
@@ -149,8 +162,12 @@ class Bending:
 
         The convex variant leaves out the part with the second derivative of κ (Gauss-Newton).
         """
+        r = self.in_plane
+        if r == 1:
+            K = self.operator[:, :6]
+            return K.transpose(0, 2, 1) @ (np.repeat(self.stiffness, 3, axis=1)[..., None] * K)
         _, u, v, n, length, kappa, q, d = self._first_derivative(x)
-        r, count = self.in_plane, len(u)
+        count = len(u)
         weight = (1 - r) * self.stiffness
         flat = d.reshape(count, 2, 12)
         H = flat.transpose(0, 2, 1) @ (weight[..., None] * flat)

@@ -30,6 +30,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import shapely
+from scipy.sparse import csr_array
 
 from ..blank import Blank
 from ..material import Fabric
@@ -136,6 +137,12 @@ class Contact:
         self.tool_dofs = tool_dof + np.arange(3 if tool.tilts else 1)
         self.dofs = np.column_stack([nodal, np.tile(self.tool_dofs, (m, 1))])
         self.height_column = nodal.shape[1]
+        component = np.tile(np.arange(3 * m).reshape(m, 3), (1, self.points.nodes.shape[1]))
+        mean = self.points.weights.ravel(), (component.ravel(), nodal.ravel())
+        self._mean = csr_array(mean, shape=(3 * m, 3 * len(blank.nodes)))  # places from nodes
+        # node and height move the point relative to the tool along this axis, by this share
+        self._axes = np.append(np.tile([0, 1, 2], nodal.shape[1] // 3), 2)
+        self._shares = np.column_stack([self.points.weights.reshape(m, -1), np.full(m, -1.0)])
         self._last: tuple[FloatArray, tuple] | None = None
         self.area = self.points.areas
         self.reach = 0.5 * fabric.thickness - self.points.sag
@@ -143,16 +150,23 @@ class Contact:
 
     def _arm(self, x: FloatArray) -> FloatArray:
         """(m, 3) places of the points relative to the tool's origin, mm."""
-        places = x[3 * self.points.nodes[:, :, None] + np.arange(3)]
-        return (self.points.weights * places).sum(1) - self.origin(x)
+        places = self._mean @ x[: self._mean.shape[1]]
+        return places.reshape(-1, 3) - self.origin(x)
 
     def origin(self, x: FloatArray) -> FloatArray:
         """(3,) origin of the tool, mm."""
         return np.array([*self.tool.place, x[self.tool_dofs[0]]])
 
+    def _into_frame(self, x: FloatArray) -> FloatArray:
+        """(3, 3) turn into the tool's frame."""
+        if not self.tool.tilts:
+            return np.eye(3)
+        A, B = self._turns(x)
+        return B[0] @ A[0]
+
     def _turns(self, x: FloatArray) -> tuple[list[FloatArray], list[FloatArray]]:
         """Rx(a/L)' and Ry(b/L)' (3, 3) with their first and second derivatives by a and b."""
-        tilt = x[self.tool_dofs[1:]] if self.tool.tilts else np.zeros(2)
+        tilt = x[self.tool_dofs[1:]]
         return _turn(tilt[0] / LEVER, 1, 2), _turn(tilt[1] / LEVER, 2, 0)
 
     def relative(self, x: FloatArray) -> FloatArray:
@@ -168,10 +182,7 @@ class Contact:
 
     def in_tool_frame(self, x: FloatArray, arm: FloatArray) -> FloatArray:
         """Turn (m, 3) places relative to the tool's origin into its frame."""
-        if not self.tool.tilts:
-            return arm
-        A, B = self._turns(x)
-        return arm @ (B[0] @ A[0]).T
+        return arm @ self._into_frame(x).T
 
     def distance(self, y: FloatArray) -> Distance:
         """Distance of the tool at (m, 3) positions in its frame; far away that to its box."""
@@ -237,18 +248,13 @@ class Contact:
 
     def pull_back(self, x: FloatArray, force: FloatArray) -> FloatArray:
         """(m, n_local) local forces from (m, 3) derivatives by the position in the tool's frame."""
+        local = self._shares * (force @ self._into_frame(x))[:, self._axes]
+        if not self.tool.tilts:
+            return local
         A, B = self._turns(x)
-        by_arm = force @ (B[0] @ A[0])
-        local = np.empty(self.dofs.shape)
-        local[:, : self.height_column] = (self.points.weights * by_arm[:, None]).reshape(
-            len(force), -1
-        )
-        local[:, self.height_column] = -by_arm[:, 2]
-        if self.tool.tilts:
-            arm = self._arm(x)
-            for column, turn in ((-2, B[0] @ A[1]), (-1, B[1] @ A[0])):
-                local[:, column] = np.einsum("mc,mc->m", force, arm @ turn.T)
-        return local
+        arm = self._arm(x)
+        by_tilts = [(force * (arm @ turn.T)).sum(1) for turn in (B[0] @ A[1], B[1] @ A[0])]
+        return np.column_stack([local, *by_tilts])
 
     def pull_back_stiffness(
         self, x: FloatArray, H: FloatArray, force: FloatArray | None, rows: IntArray | slice
@@ -258,38 +264,30 @@ class Contact:
         Without `force` the part of the tool's finite rotation is left out.
         """
         J = self._jacobian(x, rows)
-        local = J.transpose(0, 2, 1) @ H @ J
+        local = J.transpose(0, 2, 1) @ (H @ J)
         if force is None or not self.tool.tilts:
             return local
         A, B = self._turns(x)
-        arm, weights = self._arm(x)[rows], self.points.weights[rows]
+        arm = self._arm(x)[rows]
         for i, turn in ((-2, B[0] @ A[1]), (-1, B[1] @ A[0])):
-            by_arm = force @ turn
-            row = np.zeros((len(arm), local.shape[1]))
-            row[:, :-3] = (weights * by_arm[:, None]).reshape(len(arm), -1)
-            row[:, -3] = -by_arm[:, 2]
-            local[:, i, :] += row
-            local[:, :, i] += row
+            row = self._shares[rows] * (force @ turn)[:, self._axes]
+            local[:, i, :-2] += row
+            local[:, :-2, i] += row
         for i, j, turn in ((-2, -2, B[0] @ A[2]), (-2, -1, B[1] @ A[1]), (-1, -1, B[2] @ A[0])):
-            value = np.einsum("mc,mc->m", force, arm @ turn.T)
+            value = (force * (arm @ turn.T)).sum(1)
             local[:, i, j] += value
             local[:, j, i] += value if i != j else 0.0
         return local
 
     def _jacobian(self, x: FloatArray, rows: IntArray | slice) -> FloatArray:
         """(m, 3, n_local) derivative of y by the local degrees of freedom."""
-        weights = self.points.weights[rows]
+        J = self._shares[rows][:, None] * self._into_frame(x)[:, self._axes]
+        if not self.tool.tilts:
+            return J
         A, B = self._turns(x)
-        T = B[0] @ A[0]
-        m, k, _ = weights.shape
-        J = np.empty((m, 3, self.dofs.shape[1]))
-        J[:, :, : 3 * k] = (weights[:, None] * T[:, None, :]).reshape(m, 3, -1)
-        J[:, :, 3 * k] = -T[:, 2]
-        if self.tool.tilts:
-            arm = self._arm(x)[rows]
-            J[:, :, -2] = arm @ (B[0] @ A[1]).T
-            J[:, :, -1] = arm @ (B[1] @ A[0]).T
-        return J
+        arm = self._arm(x)[rows]
+        by_tilts = [arm @ turn.T for turn in (B[0] @ A[1], B[1] @ A[0])]
+        return np.concatenate([J, np.stack(by_tilts, axis=2)], axis=2)
 
     def surrounds(self, x: FloatArray, mirror: tuple[str, ...]) -> bool:
         """Whether the points under the tool's flat face lie around its origin.
@@ -333,7 +331,7 @@ class Contact:
         k, e = self.compaction, BLEND
         p = np.maximum(p, 0.0)
         blend = p < e
-        value = np.where(blend, p**3 / (6 * e), p**2 / 2 - e * p / 2 + e**2 / 6)
+        value = np.where(blend, p * p**2 / (6 * e), p**2 / 2 - e * p / 2 + e**2 / 6)
         first = np.where(blend, p**2 / (2 * e), p - e / 2)
         second = np.where(blend, p / e, 1.0)
         return k * value, k * first, k * second

@@ -16,7 +16,16 @@ import numpy as np
 
 from ..blank import Blank
 from ..material import Fabric
-from .membrane import Membrane, clamp
+from .membrane import (
+    Membrane,
+    along_fibres,
+    clamp,
+    cross,
+    dot,
+    nodal_forces,
+    nodal_stiffness,
+    second_derivative,
+)
 
 FloatArray = np.ndarray
 
@@ -34,99 +43,81 @@ class PairedMembrane(Membrane):
 
     def __init__(self, blank: Blank, fabric: Fabric, dim: int) -> None:
         super().__init__(blank, fabric, dim)
-        self.triangle_dofs = self.dofs
         pairs = blank.pairs
         self.pairs = pairs
-        self.dofs = self.triangle_dofs[pairs].reshape(len(pairs), -1)
+        self.dofs = np.hstack([self.dofs[pairs[:, t]] for t in (0, 1)])
         alone = pairs[:, 0] == pairs[:, 1]
-        self.parts = np.where(alone[:, None], 0.5, 1.0) * self.volume[pairs]  # V_t
-        self.whole = self.parts.sum(1)
-        # fibre derivatives by the six nodes: of each triangle (n, 2, 2, 6), and their mean
-        self.g_each = np.zeros((len(pairs), 2, 2, 6))
-        self.g_each[:, 0, :, :3], self.g_each[:, 1, :, 3:] = self.g[pairs].transpose(1, 0, 2, 3)
-        share = self.parts / self.whole[:, None]
-        self.g_mean = np.einsum("nt,ntfl->nfl", share, self.g_each)
-        self.pair_of = np.empty(len(self.triangle_dofs), dtype=int)
+        self.parts = np.where(alone, 0.5, 1.0) * self.volume[pairs].T  # V_t, (2, n_pairs)
+        self.whole = self.parts.sum(0)
+        # fibre derivatives of each triangle by its three nodes, and their mean by all six
+        self.g_each = [self._g[:, :, pairs[:, t]] for t in (0, 1)]
+        share = self.parts / self.whole
+        self.g_mean = np.concatenate([share[t] * self.g_each[t] for t in (0, 1)], axis=1)
+        self.pair_of = np.empty(len(self.g), dtype=int)
         self.pair_of[pairs] = np.arange(len(pairs))[:, None]
+
+    def _evaluate(self, x: FloatArray) -> tuple[FloatArray, ...]:
+        """Fibre vectors, mean (2, dim, n_pairs) and own (2, 2, dim, n_pairs); I4, both I6, I8."""
+        f = along_fibres(self.g_mean, x[self.dofs.T])
+        places = np.split(x[self.dofs.T], 2)
+        each = np.stack([along_fibres(g, y) for g, y in zip(self.g_each, places, strict=True)])
+        return f, each, dot(f[0], f[0]), np.stack([dot(*own) for own in each]), dot(f[1], f[1])
 
     def fibres(self, x: FloatArray) -> FloatArray:
         """(n_triangles, 2, dim) mean fibre vectors of the pair of each triangle."""
-        return self._mean(x)[self.pair_of]
+        return self._at(x)[0].transpose(2, 0, 1)[self.pair_of]
 
-    def _mean(self, x: FloatArray) -> FloatArray:
-        return self.g_mean @ x[self.dofs].reshape(-1, 6, self.dim)
-
-    def _each(self, x: FloatArray) -> FloatArray:
-        """(n_pairs, 2, 2, dim) fibre vectors of the two triangles."""
-        return self.g_each @ x[self.dofs].reshape(-1, 1, 6, self.dim)
+    def invariants(self, x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """I4, I6, I8 of the mean fibre vectors of each triangle's pair."""
+        f, _, I4, _, I8 = self._at(x)
+        return I4[self.pair_of], dot(*f)[self.pair_of], I8[self.pair_of]
 
     def normals(self, x: FloatArray) -> FloatArray:
         """(n_triangles, 1 or 3) normal times area ratio of each triangle by itself."""
-        f = self.g @ x[self.triangle_dofs].reshape(-1, 3, self.dim)
-        return self.cross(f)
+        each = self._at(x)[1]
+        normals = np.empty((len(self.pair_of), 1 if self.dim == 2 else 3))
+        for own, triangles in zip(each, self.pairs.T, strict=True):
+            normals[triangles] = cross(*own).T
+        return normals
 
     def energy(self, x: FloatArray) -> FloatArray:
         """Energy of each pair, mJ."""
-        f, each = self._mean(x), self._each(x)
-        I4, I8 = (f[:, 0] ** 2).sum(1), (f[:, 1] ** 2).sum(1)
-        I6 = (each[:, :, 0] * each[:, :, 1]).sum(2)
+        _, _, I4, I6, I8 = self._at(x)
         fabric = self.fabric
         tension = fabric.warp.energy(I4, 1.0) + fabric.weft.energy(I8, 1.0)
-        return self.whole * tension + (self.parts * fabric.shear.energy(I6)).sum(1)
+        return self.whole * tension + (self.parts * fabric.shear.energy(I6)).sum(0)
 
-    def _stresses(
-        self, x: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Mean and own fibre vectors, and S11, S22 (n,), S12 (n, 2) of the pairs, MPa."""
-        f, each = self._mean(x), self._each(x)
-        S11 = 2.0 * self.fabric.warp.stress((f[:, 0] ** 2).sum(1), 1.0)
-        S22 = 2.0 * self.fabric.weft.stress((f[:, 1] ** 2).sum(1), 1.0)
-        S12 = self.fabric.shear.stress((each[:, :, 0] * each[:, :, 1]).sum(2))
-        return f, each, S11, S22, S12
+    def _stresses(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Stress of the mean fibre vectors (2, 2, n), S12 = 0, and own S12 (2, 2, 2, n), MPa."""
+        _, _, I4, I6, I8 = self._at(x)
+        tension, shear = np.zeros((2, 2, len(I4))), np.zeros((2, 2, 2, len(I4)))
+        tension[0, 0] = 2.0 * self.fabric.warp.stress(I4, 1.0)
+        tension[1, 1] = 2.0 * self.fabric.weft.stress(I8, 1.0)
+        shear[:, 0, 1] = shear[:, 1, 0] = self.fabric.shear.stress(I6)
+        return tension, shear
 
     def gradient(self, x: FloatArray) -> FloatArray:
         """(n_pairs, 6 dim) nodal forces, N."""
-        f, each, S11, S22, S12 = self._stresses(x)
-        pull = np.stack([S11, S22], axis=1)[:, :, None] * self.whole[:, None, None] * f
-        forces = self.g_mean.transpose(0, 2, 1) @ pull
-        shear = (self.parts * S12)[:, :, None, None] * each[:, :, ::-1]
-        forces += (self.g_each.transpose(0, 1, 3, 2) @ shear).sum(1)
-        return forces.reshape(len(forces), -1)
+        f, each = self._at(x)[:2]
+        tension, shear = self._stresses(x)
+        forces = nodal_forces(self.g_mean, self.whole * tension, f)
+        own = [nodal_forces(self.g_each[t], self.parts[t] * shear[t], each[t]) for t in (0, 1)]
+        return forces + np.hstack(own)
 
     def hessian(self, x: FloatArray, convex: bool) -> FloatArray:
         """(n_pairs, 6 dim, 6 dim) stiffness, N/mm; positive semi-definite with `convex`."""
-        f, each, S11, S22, S12 = self._stresses(x)
-        fabric, n, dim = self.fabric, len(f), self.dim
-        I4, I8 = (f[:, 0] ** 2).sum(1), (f[:, 1] ** 2).sum(1)
-        I6 = (each[:, :, 0] * each[:, :, 1]).sum(2)
-        dI = np.empty((n, 4, 6, dim))
-        dI[:, 0] = 2.0 * self.g_mean[:, 0, :, None] * f[:, 0, None]
-        dI[:, 1] = 2.0 * self.g_mean[:, 1, :, None] * f[:, 1, None]
-        dI[:, 2:] = self.g_each[:, :, 0, :, None] * each[:, :, 1, None]
-        dI[:, 2:] += self.g_each[:, :, 1, :, None] * each[:, :, 0, None]
-        dI = dI.reshape(n, 4, -1)
-        W2 = np.column_stack(
-            [
-                self.whole * fabric.warp.stiffness(I4, 1.0),
-                self.whole * fabric.weft.stiffness(I8, 1.0),
-                self.parts * fabric.shear.stiffness(I6),
-            ]
-        )
-        H = dI.transpose(0, 2, 1) @ (W2[:, :, None] * dI)
-        zero = np.zeros_like(S11)
-        tension = np.stack([S11, zero, zero, S22], axis=-1).reshape(-1, 2, 2)
-        shear = np.stack([0 * S12, S12, S12, 0 * S12], axis=-1).reshape(n, 2, 2, 2)
+        f, each, I4, I6, I8 = self._at(x)
+        tension, shear = self._stresses(x)
         if convex:
-            tension = clamp(tension)
-            shear = clamp(shear.reshape(-1, 2, 2)).reshape(shear.shape)
-        geometric = self.g_mean.transpose(0, 2, 1) @ (
-            self.whole[:, None, None] * tension @ self.g_mean
-        )
-        each_part = self.parts[:, :, None, None] * shear @ self.g_each
-        geometric += (self.g_each.transpose(0, 1, 3, 2) @ each_part).sum(1)
-        blocks = H.reshape(n, 6, dim, 6, dim)
-        for c in range(dim):
-            blocks[:, :, c, :, c] += geometric
+            tension, shear = clamp(tension), np.stack([clamp(S) for S in shear])
+        fabric, none = self.fabric, np.zeros_like(I4)
+        W4, W8 = fabric.warp.stiffness(I4, 1.0), fabric.weft.stiffness(I8, 1.0)
+        W6 = self.parts * fabric.shear.stiffness(I6)
+        K = second_derivative(f, self.whole * tension, self.whole * W4, none, self.whole * W8)
+        H = nodal_stiffness(self.g_mean, K)
+        for t, own in enumerate(np.split(np.arange(H.shape[1]), 2)):
+            K = second_derivative(each[t], self.parts[t] * shear[t], none, W6[t], none)
+            H[:, own[:, None], own] += nodal_stiffness(self.g_each[t], K)
         return H
 
 
