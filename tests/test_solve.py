@@ -83,6 +83,29 @@ def test_round_off_is_no_residual_before_a_tool_has_touched():
     assert equilibrium.residual(1e6 * g) > 1e-4
 
 
+def test_stiff_fibres_that_turn_do_not_shorten_the_steps(monkeypatch):
+    def solved():
+        scene = qf.off_axis_tension(45, displacement=50, size=20)
+        return qf.solve(scene, increment=50.0, estimate=False)
+
+    foreseen = solved()
+    monkeypatch.setattr(Equilibrium, "_foresee", lambda self, x, moved: None)
+    plain = solved()
+    assert foreseen.force == pytest.approx(plain.force, rel=1e-5)
+    assert foreseen.linear_solves <= 8
+    assert plain.linear_solves >= 1.5 * foreseen.linear_solves
+
+
+def test_the_foreseen_stress_is_the_linearised_one():
+    membrane = qf.off_axis_tension(30, size=40).membrane
+    x = qf.off_axis_tension(30, size=40).x0
+    dx = np.random.default_rng(0).normal(size=len(x))
+    h = 1e-6
+    rise = (membrane.stress(x + h * dx) - membrane.stress(x - h * dx)) / (2 * h)
+    ahead = membrane.foreseen_stress(x, dx).transpose(2, 0, 1) - membrane.stress(x)
+    np.testing.assert_allclose(ahead, rise, rtol=1e-6, atol=1e-6 * np.abs(rise).max())
+
+
 class Spring:
     """A user's own term with memory: a spring between a node and its last committed place."""
 

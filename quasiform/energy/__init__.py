@@ -52,6 +52,14 @@ class Selective(Protocol):
     def hessian(self, x: FloatArray, convex: bool, rows: np.ndarray) -> FloatArray: ...
 
 
+@runtime_checkable
+class Foreseeing(Protocol):
+    """A term whose Hessian can take the stress that the last step foresaw instead of that at x."""
+
+    def foreseen_stress(self, x: FloatArray, dx: FloatArray) -> FloatArray: ...
+    def hessian(self, x: FloatArray, convex: bool, stress: FloatArray | None) -> FloatArray: ...
+
+
 class Potential:
     """The sum of the energy terms over the free degrees of freedom, with a fixed sparsity pattern.
 
@@ -112,7 +120,11 @@ class Potential:
         )
 
     def hessian(
-        self, x: FloatArray, convex: bool, motion: FloatArray | None = None
+        self,
+        x: FloatArray,
+        convex: bool,
+        motion: FloatArray | None = None,
+        stress: FloatArray | None = None,
     ) -> tuple[FloatArray, FloatArray]:
         """Upper triangle of the free Hessian in the fixed pattern, and its product with a motion.
 
@@ -123,6 +135,8 @@ class Potential:
             Take the nearby positive semi-definite Hessian of each term.
         motion : (n_dofs,) array, mm, optional
             A motion of the prescribed degrees of freedom.
+        stress : array, optional
+            For the terms that foresee one.
 
         Returns
         -------
@@ -145,7 +159,8 @@ class Potential:
                 upper = share * H.reshape(len(rows), -1).take(i * dofs.shape[1] + j, axis=1)
                 np.add.at(values, slots.ravel(), upper.ravel())
             elif total is not None:
-                H = term.hessian(x, convex)
+                foreseen = [stress] if isinstance(term, Foreseeing) else []
+                H = term.hessian(x, convex, *foreseen)
                 values += total @ H.T.ravel()
             elif motion is not None:  # what is quadratic is in the constant
                 H = term.hessian(x, convex)

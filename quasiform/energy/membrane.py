@@ -100,10 +100,24 @@ class Membrane:
         S = self.volume * self._stress(x)
         return nodal_forces(self._g, S, self._at(x)[0])
 
-    def hessian(self, x: FloatArray, convex: bool) -> FloatArray:
-        """Stiffness of each triangle, N/mm; positive semi-definite with `convex`."""
+    def foreseen_stress(self, x: FloatArray, dx: FloatArray) -> FloatArray:
+        """(2, 2, n_triangles) stress that the linearisation at x foresees after a step, MPa."""
         f, I4, I6, I8 = self._at(x)
-        fabric, S = self.fabric, self._stress(x)
+        df = along_fibres(self.g.transpose(1, 2, 0), dx[self.dofs.T])
+        S, fabric = self._stress(x), self.fabric
+        S[0, 0] += 4.0 * fabric.warp.stiffness(I4, 1.0) * dot(f[0], df[0])
+        S[1, 1] += 4.0 * fabric.weft.stiffness(I8, 1.0) * dot(f[1], df[1])
+        S[0, 1] += fabric.shear.stiffness(I6) * (dot(f[0], df[1]) + dot(f[1], df[0]))
+        S[1, 0] = S[0, 1]
+        return S
+
+    def hessian(self, x: FloatArray, convex: bool, stress: FloatArray | None = None) -> FloatArray:
+        """Stiffness of each triangle, N/mm; positive semi-definite with `convex`.
+
+        A foreseen stress takes the place of that at x.
+        """
+        f, I4, I6, I8 = self._at(x)
+        fabric, S = self.fabric, self._stress(x) if stress is None else stress
         W4, W8 = fabric.warp.stiffness(I4, 1.0), fabric.weft.stiffness(I8, 1.0)
         W2 = self.volume * np.stack([W4, fabric.shear.stiffness(I6), W8])
         K = second_derivative(f, self.volume * (clamp(S) if convex else S), *W2)

@@ -104,10 +104,22 @@ class PairedMembrane(Membrane):
         own = [nodal_forces(self.g_each[t], self.parts[t] * shear[t], each[t]) for t in (0, 1)]
         return forces + np.hstack(own)
 
-    def hessian(self, x: FloatArray, convex: bool) -> FloatArray:
-        """(n_pairs, 6 dim, 6 dim) stiffness, N/mm; positive semi-definite with `convex`."""
+    def foreseen_stress(self, x: FloatArray, dx: FloatArray) -> FloatArray:
+        """(2, 2, n_pairs) tension that the linearisation at x foresees after a step, MPa."""
+        f, _, I4, _, I8 = self._at(x)
+        df, tension = along_fibres(self.g_mean, dx[self.dofs.T]), self._stresses(x)[0]
+        tension[0, 0] += 4.0 * self.fabric.warp.stiffness(I4, 1.0) * dot(f[0], df[0])
+        tension[1, 1] += 4.0 * self.fabric.weft.stiffness(I8, 1.0) * dot(f[1], df[1])
+        return tension
+
+    def hessian(self, x: FloatArray, convex: bool, stress: FloatArray | None = None) -> FloatArray:
+        """(n_pairs, 6 dim, 6 dim) stiffness, N/mm; positive semi-definite with `convex`.
+
+        A foreseen tension takes the place of that at x.
+        """
         f, each, I4, I6, I8 = self._at(x)
         tension, shear = self._stresses(x)
+        tension = tension if stress is None else stress
         if convex:
             tension, shear = clamp(tension), np.stack([clamp(S) for S in shear])
         fabric, none = self.fabric, np.zeros_like(I4)

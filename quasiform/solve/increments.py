@@ -104,8 +104,8 @@ def solve(
         run.back_to(x, 0.0)
     run.open(x)
     states.append(run.state(x, 0.0))
-    # the first response is the most curved
-    s, step = 0.0, largest / 16 if method == "newton" else largest
+    # where tools are about to touch, the first response is the most curved
+    s, step = 0.0, largest / 16 if method == "newton" and scene.contacts else largest
     while not reason and s < scene.travel * (1 - 1e-12):
         goal = float(min(rows * np.floor(s / rows * (1 + 1e-12) + 1), scene.travel))
         target = goal if s + step * (1 + 1e-6) >= goal else s + step
