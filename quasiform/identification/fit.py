@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import OptimizeResult, least_squares, minimize
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from ..checks import InputError, check_keys, check_number
 from ..material import ThreeStageLaw
@@ -288,7 +288,7 @@ def report(
     covariance = variance * spread @ spread.T
     native = unknowns.slopes(p, lambda law: np.array([getattr(law, name) for name in NAMES]))
     deviation = np.sqrt(np.einsum("ij,jk,ik->i", native, covariance, native))
-    reach = student.ppf(0.975, freedom) * deviation
+    reach = stdtrit(freedom, 0.975) * deviation
     parameters = []
     for name, half in zip(NAMES, reach.tolist(), strict=True):
         value = float(getattr(law, name))

@@ -12,7 +12,6 @@ from __future__ import annotations
 from typing import Protocol
 
 import numpy as np
-import pyamg
 from scipy.sparse import coo_array, csc_array, csr_array
 from scipy.sparse.linalg import cg, splu
 
@@ -161,6 +160,8 @@ class AlgebraicMultigrid:
         self._matrix = self._preconditioner = None
 
     def factor(self, values: FloatArray) -> int:
+        import pyamg  # seldom needed, and slow to import
+
         p = self._pattern
         upper = csr_array((values, p.indices, p.indptr), shape=p.shape)
         diagonal = coo_array((upper.diagonal(), (np.arange(p.shape[0]),) * 2), shape=p.shape)
