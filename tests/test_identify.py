@@ -462,7 +462,7 @@ def sheet_of(strip, law, top, size, with_angle=False):
     force = strip.net.force(u, LAWS[law].stress, T0)
     curve = Curve(force, u, gamma if with_angle else None, 0.01 * force)
     forces = Forces(force, curve.sigma, *strip.shares(curve, T0))
-    return Sheet(strip, curve, forces, FABRICS[law], size), curve
+    return Sheet(strip, curve, forces, FABRICS[law], size, LAWS[law]), curve
 
 
 def by_elements(sheet, curve, law, with_angle=False):
@@ -534,7 +534,7 @@ def test_the_truth_leaves_no_residual():
     sheet, curve = sheet_of(strip, "best-fit", 45.0, 40.0)
     measured = by_elements(sheet, curve, "best-fit")
     forces = Forces(measured.force, measured.sigma, *strip.shares(measured, T0))
-    own = Sheet(strip, measured, forces, FABRICS["best-fit"], 40.0)
+    own = Sheet(strip, measured, forces, FABRICS["best-fit"], 40.0, LAWS["best-fit"])
     unknowns = Unknowns(LAWS["best-fit"], NAMES)
     assert np.abs(own.residual(unknowns, unknowns.start)[0]).max() < 1e-6
 
@@ -544,7 +544,7 @@ def test_the_truth_leaves_no_residual_with_a_measured_angle():
     sheet, curve = sheet_of(strip, "best-fit", 45.0, 40.0)
     measured = by_elements(sheet, curve, "best-fit", with_angle=True)
     forces = Forces(measured.force, measured.sigma, *strip.shares(measured, T0))
-    own = Sheet(strip, measured, forces, FABRICS["best-fit"], 40.0)
+    own = Sheet(strip, measured, forces, FABRICS["best-fit"], 40.0, LAWS["best-fit"])
     unknowns = Unknowns(LAWS["best-fit"], NAMES)
     assert np.abs(own.residual(unknowns, unknowns.start)[0]).max() < 0.05
 

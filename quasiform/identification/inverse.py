@@ -1,7 +1,8 @@
 """Inverse identification: the six parameters with the finite-element test in the loop.
 
-Each off-axis test is solved at a few displacements; in between, the ratio of its force to the power
-balance of inextensible fibres (`specimen`) is interpolated, which is smooth where the force is not.
+Each off-axis test is solved at a few displacements, more of them where the force rises steeply; in
+between, the ratio of its force to the power balance of inextensible fibres (`specimen`) is
+interpolated, which is smooth where the force is not.
 The derivatives come from the converged states. With the tangent K, the response v = dx/du of the
 sheet to the grip, the volumes V and the gradient dI6 of the invariant of each triangle,
 
@@ -31,7 +32,7 @@ from .specimen import OffAxis, Specimen
 
 FloatArray = np.ndarray
 TOLERANCE = 1e-5  # relative change of cost and parameters
-POINTS = 12  # displacements at which a test is solved
+POINTS = 20  # displacements at which a test is solved
 ANGLE_SIGMA = np.radians(0.5)  # of a measured angle at the centre, *assumed*
 Measured = tuple[Specimen, Curve, Forces]
 
@@ -67,7 +68,7 @@ def identify_by_elements(
         return start
     top = max(float(np.sin(forces.angles).max()) for *_, forces in tests)
     models = [
-        Sheet(*test, fabric, size) if isinstance(test[0], OffAxis) else Frame(test[2])
+        Sheet(*test, fabric, size, start.law) if isinstance(test[0], OffAxis) else Frame(test[2])
         for test in tests
     ]
     early = [name for name in NAMES[:4] if name not in keep]
@@ -141,10 +142,18 @@ class Sheet:
         All but its shear law.
     size : float
         Cell edge, mm.
+    law : ThreeStageLaw
+        An estimate, by which the points are placed.
     """
 
     def __init__(
-        self, specimen: OffAxis, curve: Curve, forces: Forces, fabric: Fabric, size: float
+        self,
+        specimen: OffAxis,
+        curve: Curve,
+        forces: Forces,
+        fabric: Fabric,
+        size: float,
+        law: ThreeStageLaw,
     ) -> None:
         self.curve, self.forces, self.fabric = curve, forces, fabric
         u = specimen.displacement(curve)
@@ -156,9 +165,12 @@ class Sheet:
         )
         self.angle = self.scene.measures["shear_angle_center_deg"]
         self.equilibrium = Equilibrium(self.scene, tolerance=1e-6)
-        self.points = u.max() * (np.arange(1, POINTS + 1) / POINTS) ** 1.5
+        # along this, the ratio is smooth at the onset of locking too
+        along = u / u.max() + 0.5 * np.log(self.balance.predicted(law))
+        stations = np.linspace(along[0], along[-1], POINTS)
+        self.points = np.interp(stations, along, u)
         # from values at the points to values at the rows
-        self.to_rows = CubicSpline(self.points, np.eye(POINTS))(np.maximum(u, self.points[0]))
+        self.to_rows = CubicSpline(stations, np.eye(POINTS))(along)
         at_points = Curve(self.points, self.points, None, self.points)
         self.ideal = Forces(self.points, self.points, *specimen.shares(at_points, fabric.thickness))
         self.with_angle = curve.shear_angle is not None and curve.displacement is not None

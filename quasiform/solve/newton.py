@@ -89,7 +89,7 @@ class Equilibrium:
         points = np.full((len(scene.x0), 2), np.nan)
         points[: scene.n_nodal] = np.repeat(scene.blank.nodes, scene.dim, axis=0)
         self.solver = linear_solver(
-            self.linear, self.potential.pattern, points[free], _rigid_motions(scene)[free]
+            self.linear, self.potential.pattern, points[free], rigid_motions(scene)[free]
         )
 
     def force(self, g: FloatArray) -> float:
@@ -351,7 +351,7 @@ class Equilibrium:
         return x + d
 
 
-def _rigid_motions(scene: Scene) -> FloatArray:
+def rigid_motions(scene: Scene) -> FloatArray:
     """(n_dofs, m) translations and rotations of the sheet."""
     dim = scene.dim
     X = scene.positions(scene.x0)
