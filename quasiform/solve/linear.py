@@ -66,7 +66,7 @@ def linear_solver(
     if name in ("auto", "pardiso"):
         try:
             return Pardiso(pattern)
-        except ImportError as error:
+        except (ImportError, AttributeError) as error:  # missing, or of another make
             if name == "pardiso":
                 raise InputError(
                     "linear solver 'pardiso' is not installed: pip install 'quasiform[fast]'"
@@ -83,18 +83,20 @@ class Pardiso:
     def __init__(self, pattern: csr_array) -> None:
         import pymklpardiso
 
-        self._new = lambda values: pymklpardiso.PardisoSolver(
-            csr_array((values, pattern.indices, pattern.indptr), shape=pattern.shape),
-            pymklpardiso.MTYPE_REAL_SYM_INDEF,
-        )
-        self._solver = None
+        # the public class looks at every row of the pattern in Python, which takes as long as
+        # several factorisations; the one below it takes the pattern as it is
+        self._solver = pymklpardiso._PardisoSolver(pymklpardiso.MTYPE_REAL_SYM_INDEF, 0)
+        ia, ja = pattern.indptr.astype(np.int64), pattern.indices.astype(np.int64)
+        self._solver.set_pattern(ia=ia, ja=ja, n=pattern.shape[0])
+        self._analysed = False
 
     def factor(self, values: FloatArray) -> int:
         try:
-            if self._solver is None:
-                self._solver = self._new(values)
+            if self._analysed:
+                self._solver.refactor_values(values)
             else:
-                self._solver.refactor(values)
+                self._solver.factor(values)
+                self._analysed = True
         except RuntimeError as error:
             raise SingularMatrixError(str(error)) from error
         return int(self._solver.get_iparm_value(22))
