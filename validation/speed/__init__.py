@@ -1,0 +1,1 @@
+"""Error against work: what an answer costs, and what each reduction of the model buys."""

@@ -1,0 +1,79 @@
+"""Large meshes: time, solves and memory of the whole hemisphere, each size in its own process."""
+
+from __future__ import annotations
+
+import json
+import resource
+import subprocess
+import sys
+import time
+
+import numpy as np
+
+from .rows import markdown
+
+SIZES = (4.4, 2.2, 1.1)  # mm: some 10 000, 40 000 and 160 000 triangles
+LONGEST = 480.0  # s: the last one is left out if the one before took longer
+
+
+def table() -> str:
+    """Markdown of the runs, and the slope of time over unknowns."""
+    runs: list[dict] = []
+    note = ""
+    for size in SIZES:
+        if size == SIZES[-1] and runs[-1]["wall"] > LONGEST:
+            note = f"{size:g} mm left out: {runs[-1]['size']:g} mm took {runs[-1]['wall']:.0f} s."
+            break
+        answer = subprocess.run(
+            [sys.executable, "-m", "validation.speed.scale", str(size)],
+            check=True,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        runs.append(json.loads(answer.stdout.splitlines()[-1]))
+        print(runs[-1], flush=True)
+    names = ["size", "triangles", "dofs", "seconds", "wall", "solves", "memory_gb", "p99", "force"]
+    names += ["estimate", "certified", "rescues"]
+    head = ["size mm", "triangles", "dofs", "s", "wall s", "solves", "peak memory GB", "p99 °"]
+    head += ["force N", "estimate °", "certified", "rescues"]
+    cells = [[_cell(run[name]) for name in names] for run in runs]
+    slope = np.polyfit(*(np.log([run[key] for run in runs]) for key in ("dofs", "seconds")), 1)[0]
+    return (
+        "Hemisphere 0°, whole sheet, mesh continuation; a process of its own for each row, memory "
+        f"with Python and its imports.\n\n{markdown(head, cells)}\n\n"
+        f"Time grows with the unknowns to the power {slope:.2f}. {note}".rstrip()
+    )
+
+
+def one(size: float) -> dict:
+    """One run; its numbers."""
+    import quasiform as qf
+
+    wall, processor = time.perf_counter(), time.process_time()
+    result = qf.refine(qf.forming("hemisphere", size=size, symmetry="none"))
+    return {
+        "size": size,
+        "triangles": len(result.scene.blank.triangles),
+        "dofs": int((~result.scene.fixed).sum()),
+        "seconds": time.process_time() - processor,
+        "wall": time.perf_counter() - wall,
+        "solves": float(result.linear_solves),
+        "memory_gb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20,
+        "p99": result.quantities["shear_angle_deg"],
+        "force": result.force,
+        "estimate": result.estimate["shear_angle_deg"],
+        "certified": result.certified,
+        "rescues": result.rescues,
+    }
+
+
+def _cell(value: object) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{name}: {count}" for name, count in value.items())
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    return "yes" if value is True else str(value)
+
+
+if __name__ == "__main__":
+    print(json.dumps(one(float(sys.argv[1]))))
