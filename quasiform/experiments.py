@@ -142,7 +142,10 @@ def off_axis_tension(
         },
         model=[
             ("plane problem", "no tools and no load out of the plane: two dofs a node, held flat"),
-            ("bending left out", "no curvature in a plane problem"),
+            (
+                "bending left out",
+                "held flat; fibres curve freely in the plane, as in the paper's model",
+            ),
             ("contact and friction left out", "no tools"),
             ("weight left out", "acts out of the plane"),
             *([PAIRED] if blank.pairs is not None else []),

@@ -34,6 +34,7 @@ from .increments import Progress, Run, solve
 from .newton import Equilibrium, NotConvergedError
 
 FloatArray = np.ndarray
+MOST = 100  # Newton iterations of one solve on a finer mesh, before the path is followed there
 FINEST = 16  # of the size asked for, when refining to an accuracy
 CARRIED = 5.0  # mm: length of the last increment that friction starts from, at least a row
 
@@ -134,7 +135,7 @@ def _carry(
 ) -> tuple[Result, _Motion]:
     """Solve the end of a scene from that of a coarser one; the path too where that fails."""
     clock = time.perf_counter()
-    equilibrium = Equilibrium(scene, linear, tolerance)
+    equilibrium = Equilibrium(scene, linear, tolerance, max_iterations=MOST)
     equilibrium.travel = coarse.states[-1].travel
     run = Run(equilibrium, "newton", None)
     try:

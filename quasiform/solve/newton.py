@@ -66,6 +66,8 @@ class Equilibrium:
         Residual that friction may leave to the next increment where it does not settle.
     carried_on : int
         How often it did.
+    max_iterations : int
+        Newton iterations of one solve.
     """
 
     scene: Scene
@@ -77,6 +79,7 @@ class Equilibrium:
     travel: float = 0.0
     carried: float = 2e-2
     carried_on: int = 0
+    max_iterations: int = 400
     potential: Potential = field(init=False)
     solver: LinearSolver = field(init=False)
     _factored: tuple[FloatArray, bool, int] | None = field(init=False, default=None)
@@ -211,7 +214,7 @@ class Equilibrium:
         return bool(((membrane.normals(x) * membrane.normals(trial)).sum(1) <= 0).any())
 
     def minimise(
-        self, x: FloatArray, max_iterations: int = 400, tolerance: float | None = None
+        self, x: FloatArray, max_iterations: int | None = None, tolerance: float | None = None
     ) -> FloatArray:
         """Newton iterations with the lagged values as they are, to the tolerance or a looser one.
 
@@ -222,6 +225,7 @@ class Equilibrium:
         """
         free = ~self.scene.fixed
         tolerance = tolerance or self.tolerance
+        max_iterations = max_iterations or self.max_iterations
         convex_left = 0
         stress, self._foreseen = self._foreseen, None
         energies: list[float] = []
