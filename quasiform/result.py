@@ -130,6 +130,17 @@ class Result:
         return self.states[-1].force
 
     @property
+    def model(self) -> list[tuple[str, str]]:
+        """What is modelled and what was left out, and why."""
+        if self.path is None:
+            return self.scene.model
+        why = (
+            f"only the end is solved at {self.scene.size:g} mm; the forces along the travel come "
+            "from there (--size keeps one mesh)"
+        )
+        return [*self.scene.model, (f"path on a mesh of {self.path.scene.size:g} mm", why)]
+
+    @property
     def followed(self) -> list[tuple[Result, int]]:
         """Where the states along the travel are: those of the path, and the end on this mesh."""
         path = self.path or self
@@ -393,7 +404,7 @@ class Result:
             "nodes": len(scene.blank.nodes),
             "triangles": len(scene.blank.triangles),
             "dofs": int((~scene.fixed).sum()),
-            "model": [f"{entry}: {why}" for entry, why in scene.model],
+            "model": [f"{entry}: {why}" for entry, why in self.model],
             "force_N": self.force,
             "shear_angle_deg": {
                 "max": float(gamma.max()),

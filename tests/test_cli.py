@@ -228,7 +228,7 @@ def test_a_model_too_large_for_the_memory_is_refused(capsys, monkeypatch):
 @pytest.mark.parametrize(
     ("argv", "words"),
     [
-        (OAT, ["oat-45: 77 nodes, 128 triangles, 134 dofs", "bending left out: no curvature"]),
+        (OAT, ["oat-45: 77 nodes, 128 triangles, 134 dofs", "bending left out: held flat"]),
         (FORM, ["hemisphere-0: 25 nodes, 32 triangles", "a quarter: ", "weight of the sheet left"]),
         (
             "form box --size 20".split(),

@@ -41,7 +41,11 @@ class Friction:
         self.contact = contact
         self.dofs = contact.dofs
         self.stick = STICK * contact.area
-        points, p = contact.relative(x), contact.penetration(x)
+        self.reset(x)
+
+    def reset(self, x: FloatArray) -> None:
+        """Forget everything: points that touch at x are anchored where they are."""
+        points, p = self.contact.relative(x), self.contact.penetration(x)
         self._committed = points, p, np.where((p > 0)[:, None], points, np.nan)
         self.refresh(x)
 

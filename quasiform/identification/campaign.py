@@ -91,7 +91,7 @@ class ShearTest:
     def cut(self) -> ShearTest:
         """The same test with the rows outside its range of shear angles left out."""
         gamma = np.degrees(self.forces(1.0).angles[0])
-        used = (gamma >= self.low) & (gamma <= self.high) & (self.curve.force > 0)
+        used = (gamma >= self.low) & (gamma > 0) & (gamma <= self.high) & (self.curve.force > 0)
         if used.sum() < 8:
             raise InputError(
                 f"{self.name}: only {used.sum()} rows with a positive force between "

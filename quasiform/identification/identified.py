@@ -174,10 +174,10 @@ def _remarks(fitted: Fit, curve: StressCurve) -> list[str]:
     found = []
     if loose:
         found.append(f"not identified by these tests: {', '.join(loose)}")
-    if any(p.state == "not tested" for p in fitted.parameters) and fitted.law.C_lo == 0:
+    if any(p.state == "not tested" for p in fitted.parameters):
+        words = "the law has none" if fitted.law.C_lo == 0 else "the law has it from there on"
         found.append(
-            f"no locking up to {curve.high:.1f} degrees: the law has none "
-            "(keep C_lo and I_lo to set it)"
+            f"no locking up to {curve.high:.1f} degrees: {words} (keep C_lo and I_lo to set it)"
         )
     return found
 

@@ -73,17 +73,19 @@ def identify_by_elements(
     ]
     early = [name for name in NAMES[:4] if name not in keep]
     trials = []
-    for late in [[name for name in LOCKING if name not in keep], []]:
+    untested = keep.get("I_lo", 0.0) >= top  # then nothing tells of stage three
+    for late in [[name for name in LOCKING if name not in keep and not untested], []]:
         law = start.law
         if late and law.I_lo >= top:  # no third stage so far: let one begin late in the range
-            law = replace(law, I_lo=0.8 * top, C_lo=max(law.C_mid, 0.1 * law.C_ini))
+            begun = {"I_lo": 0.8 * top, "C_lo": max(law.C_mid, 0.1 * law.C_ini)}
+            law = replace(law, **(begun | {k: v for k, v in keep.items() if k in LOCKING}))
         elif not late and not keep.keys() & set(LOCKING):
             law = replace(law, I_lo=top, C_lo=0.0)
         unknowns = Unknowns(law, [*early, *late])
         trials.append((late, unknowns, search(unknowns, *_together(models, unknowns), TOLERANCE)))
         if not np.isfinite(trials[-1][2].cost):
             raise InputError("a test finds no equilibrium under the law of the power balance")
-        if not late or keep.keys() & set(LOCKING):
+        if not late:
             break
     _, unknowns, found = choose(trials)
     law = unknowns.law(found.x)

@@ -69,8 +69,8 @@ def solve(
     convex : "on demand" or "always"
         When the convex tangent takes the place of the exact one.
     estimate : bool
-        Solve the scene on a mesh twice as coarse too, where it can be built; the differences are
-        the error estimate.
+        Solve the scene on meshes twice and, where its tools allow, four times as coarse too; the
+        differences are the error estimate.
 
     Returns
     -------
@@ -151,11 +151,17 @@ def solve(
         states.append(run.state(x, s))
     result = run.result(states, reason, time.perf_counter() - clock)
     if estimate and not reason and scene.resized:
-        # too coarse to be built, or interrupted: the result stands without an estimate
+        coarser: list[Result] = []
+        settings = (None, increment, method, linear, tolerance, convex, False)
+        # too coarse to be built, or interrupted: the result stands with what there is
         with suppress(InputError, KeyboardInterrupt):
-            sizes = [2 * scene.size] + [4 * scene.size] * (4 * scene.size <= scene.coarsest)
-            settings = (None, increment, method, linear, tolerance, convex, False)
-            result.judge([solve(scene.resized(size), *settings) for size in reversed(sizes)])
+            for size in (2 * scene.size, 4 * scene.size):
+                if size > scene.coarsest and coarser:
+                    break
+                coarser.insert(0, solve(scene.resized(size), *settings))
+                if coarser[0].reason:
+                    break
+        result.judge(coarser)
     return result
 
 
@@ -190,6 +196,8 @@ class Run:
     def start(self) -> FloatArray:
         """Equilibrium before any travel (a holder settling on the sheet)."""
         x = self.scene.x0.copy()
+        for term in self.scene.frictions:  # of an earlier run on this scene
+            term.reset(x)
         if self.scene.resting:
             x = self._relax(x, 0.0) if self.method == "relaxation" else self._solve(x)
             self._commit(x)

@@ -16,7 +16,8 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import (
@@ -68,7 +69,9 @@ def refine(
     Returns
     -------
     Result
-        With the path as its `path`, and the coarser levels in its estimate.
+        With the path as its `path`, and the coarser levels in its estimate. Where a finer mesh
+        fails or an accuracy is not reached, the last level that was completed, with the `reason`.
+        A scene that was changed after it was made is solved on its own mesh.
 
     Raises
     ------
@@ -78,42 +81,82 @@ def refine(
     if accuracy is not None:
         check_number("accuracy", accuracy)
     clock = time.perf_counter()
+    settings = {"increment": increment, "linear": linear, "tolerance": tolerance}
+    if not _rebuilt_alike(scene):
+        result = solve(scene, callback, **settings)
+        _say_whether_accurate(result, accuracy)
+        return result
     scenes = [scene]
-    while scene.resized and 2 * scenes[0].size <= scene.coarsest * (1 + 1e-9):
+    while 2 * scenes[0].size <= scene.coarsest * (1 + 1e-9):
         try:
             scenes.insert(0, scene.resized(2 * scenes[0].size))
         except InputError:  # too coarse for the blank
             break
-    path = solve(scenes[0], callback, increment, linear=linear, tolerance=tolerance, estimate=False)
+    path = solve(scenes[0], callback, estimate=False, **settings)
     levels, last = [path], _last_increment(path)
-    finest = scene.size / FINEST
     waiting = scenes[1:]
     while not levels[-1].reason:
-        if not waiting and _accurate(levels, accuracy) is False:
-            size = levels[-1].scene.size / 2
-            if scene.resized and size >= finest * (1 - 1e-9):
-                waiting = [scene.resized(size)]
+        size = levels[-1].scene.size / 2
+        if not waiting and size >= scene.size / FINEST and _worth_refining(levels, accuracy):
+            waiting = [scene.resized(size)]
         if not waiting:
             break
-        result, last = _carry(levels[-1], waiting.pop(0), last, path, linear, tolerance)
+        finer = waiting.pop(0)
+        try:
+            result, path, last = _carry(levels[-1], finer, last, path, callback, settings)
+        except KeyboardInterrupt:
+            levels[-1].reason = f"interrupted on a mesh of {finer.size:g} mm"
+            break
+        if result.reason:  # what was completed is not lost
+            levels[-1].reason = f"on a mesh of {finer.size:g} mm: {result.reason}"
+            break
         levels.append(result)
     result = levels[-1]
     result.judge(levels[:-1])
-    if len(levels) == 1 and not result.reason and scene.resized:
+    if len(levels) == 1 and not result.reason:
         with suppress(InputError):  # too coarse to be built: the result stands without an estimate
             coarse = scene.resized(2 * scene.size)
-            result.judge([solve(coarse, None, increment, linear=linear, estimate=False)])
+            result.judge([solve(coarse, estimate=False, **settings)])
+    _say_whether_accurate(result, accuracy)
     result.wall_s = time.perf_counter() - clock
     return result
 
 
-def _accurate(levels: list[Result], accuracy: float | None) -> bool | None:
-    """Whether the last level is accurate enough; None if nobody asks."""
-    if accuracy is None:
-        return None
+def _rebuilt_alike(scene: Scene) -> bool:
+    """Whether the scene at other sizes is the same one: nobody has changed it since it was made."""
+    if scene.resized is None:
+        return False
+    fresh = scene.resized(scene.size)
+    return (
+        [term.name for term in scene.terms] == [term.name for term in fresh.terms]
+        and scene.travel == fresh.travel
+        and scene.fabric == fresh.fabric
+        and np.array_equal(scene.fixed, fresh.fixed)
+        and np.array_equal(scene.x0, fresh.x0)
+    )
+
+
+def _worth_refining(levels: list[Result], accuracy: float | None) -> bool:
+    """Whether an accuracy is asked for, not reached yet, and can be judged."""
+    if accuracy is None or levels[-1].collapse:
+        return False
     levels[-1].judge(levels[:-1])
     error = levels[-1].estimate["shear_angle_deg"]
-    return error is not None and error <= accuracy
+    return len(levels) == 1 if error is None else error > accuracy
+
+
+def _say_whether_accurate(result: Result, accuracy: float | None) -> None:
+    """Give the reason where an accuracy that was asked for is not reached."""
+    if accuracy is None or result.reason:
+        return
+    error = result.estimate["shear_angle_deg"]
+    if error is None:
+        result.reason = f"accuracy of {accuracy:g} degrees: no estimate of the error"
+    elif error > accuracy:
+        result.reason = (
+            f"accuracy of {accuracy:g} degrees not reached: estimated {error:.2g} at a size of "
+            f"{result.scene.size:g} mm"
+        )
 
 
 @dataclass(frozen=True)
@@ -131,44 +174,52 @@ def _last_increment(path: Result) -> _Motion:
 
 
 def _carry(
-    coarse: Result, scene: Scene, last: _Motion, path: Result, linear: str, tolerance: float
-) -> tuple[Result, _Motion]:
-    """Solve the end of a scene from that of a coarser one; the path too where that fails."""
+    coarse: Result,
+    scene: Scene,
+    last: _Motion,
+    path: Result,
+    callback: Callable[[Progress], None] | None,
+    settings: dict[str, Any],
+) -> tuple[Result, Result, _Motion]:
+    """Solve the end of a scene from that of a coarser one; the path too where that fails.
+
+    Returns the result, the path behind it and its last increment.
+    """
     clock = time.perf_counter()
-    equilibrium = Equilibrium(scene, linear, tolerance, max_iterations=MOST)
+    equilibrium = Equilibrium(scene, settings["linear"], settings["tolerance"], max_iterations=MOST)
     equilibrium.travel = coarse.states[-1].travel
-    run = Run(equilibrium, "newton", None)
+    run = Run(equilibrium, "newton", settings["increment"])
+    start = _start(scene, path)
     try:
         x, before = transferred(coarse, scene, last)
-        start = _start(scene, path)
         x = run.settle(x)
         if scene.lost(x):
             raise NotConvergedError(scene.lost(x), x, np.inf)
     except NotConvergedError:
-        result = solve(scene, None, linear=linear, tolerance=tolerance, estimate=False)
+        result = solve(scene, callback, estimate=False, **settings)
         result.rescues["path followed on the finer mesh"] = 1
-        return result, _last_increment(result)
-    motion = _Motion(scene, x - before)
+        _add_work(result, coarse, equilibrium.linear_solves)
+        return result, result, _last_increment(result)
     run.open(x, equilibrium.travel)
     run.collapse = path.collapse or scene.collapsed(x, equilibrium.travel)
     states = [State(0.0, start, 0.0, 0, {n: m(start) for n, m in scene.measures.items()})]
     states.append(run.state(x, equilibrium.travel))
     result = run.result(states, "", time.perf_counter() - clock)
     result.path, result.energy_balance = path, path.energy_balance
-    scene.model.append(
-        (
-            f"path on a mesh of {path.scene.size:g} mm",
-            f"only the end is solved at {scene.size:g} mm; the forces along the travel come from "
-            "there (--size keeps one mesh)",
-        )
-    )
     result.increments = path.increments + 1
+    _add_work(result, coarse, 0)
+    return result, path, _Motion(scene, x - before)
+
+
+def _add_work(result: Result, coarse: Result, failed: int) -> None:
+    """Add the linear solves of the coarser levels, by their time, and their rescues."""
+    ratio = coarse.solve_s / result.solve_s if result.solve_s else 1.0
+    result.linear_solves += failed + coarse.linear_solves * ratio
+    result.states[-1] = replace(result.states[-1], linear_solves=result.linear_solves)
     result.rescues = {
         rung: result.rescues.get(rung, 0) + coarse.rescues.get(rung, 0)
         for rung in [*coarse.rescues, *result.rescues]
     }
-    result.linear_solves += coarse.linear_solves * coarse.solve_s / result.solve_s
-    return result, motion
 
 
 def transferred(coarse: Result, scene: Scene, last: _Motion) -> tuple[FloatArray, FloatArray]:
