@@ -66,11 +66,11 @@ def test_a_sheet_without_bending_stiffness_is_refused():
 
 
 def test_a_scene_by_hand_without_bending_is_told_and_saved(tmp_path):
+    # such a sheet has no equilibrium of its own: the solver may stop, but not stumble
     scene = qf.forming(size=30, travel=1.0)
     scene.terms = [term for term in scene.terms if not isinstance(term, Bending)]
     result = qf.solve(scene, estimate=False)
-    assert result.status == "completed"
-    assert result.summary()["wrinkles"]["flange_lift_mm"] >= 0.0
+    assert set(result.summary()["wrinkles"]) == {"flange_lift_mm"}
     result.save(tmp_path / "out", pictures=False)
 
 
