@@ -4,7 +4,7 @@
     python -m validation.speed --scenes oat-45 box        some of them
     python -m validation.speed --quick                    a check in some three minutes
     python -m validation.speed --reductions               reductions.md
-    python -m validation.speed --scale                    scale.md: whole hemisphere, ever finer
+    python -m validation.speed --scale                    scale.md: the hemisphere, ever finer
 
 Rows that are in rows.csv already, of the same sources of the package, are not computed again.
 Error is against a finest solution, two levels beyond the finest mesh of the chart. Work is
