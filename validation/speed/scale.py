@@ -39,8 +39,8 @@ def table() -> str:
     cells = [[_cell(run[name]) for name in names] for run in runs]
     slope = np.polyfit(*(np.log([run[key] for run in runs]) for key in ("dofs", "seconds")), 1)[0]
     return (
-        "Hemisphere 0°, a quarter as the scene models it, mesh continuation; a process of its own for each row, memory "
-        f"with Python and its imports.\n\n{markdown(head, cells)}\n\n"
+        "Hemisphere 0°, a quarter as the scene models it, mesh continuation; a process of its own "
+        f"for each row, memory with Python and its imports.\n\n{markdown(head, cells)}\n\n"
         f"Time grows with the unknowns to the power {slope:.2f}. {note}".rstrip()
     )
 
