@@ -564,6 +564,15 @@ def test_locking_in_the_loop_beside_what_is_kept():
     assert not any("no locking" in notice for notice in found.notices)
 
 
+@pytest.mark.parametrize("keep", [{"I_lo": 0.61}, {"I_lo": 0.95}, {"C_lo": 1000.0}])
+def test_elements_leave_alone_what_is_kept_of_locking(keep):
+    found = qf.identify(noisy_strip(0, keep=keep), method="inverse")
+    (name,) = keep
+    assert getattr(found.fabric.shear, name) == keep[name]
+    assert states(found)[name] == "kept"
+    assert states(found)["C_lo"] == {0.61: "fitted", 0.95: "not tested", 1000.0: "kept"}[keep[name]]
+
+
 def test_elements_move_a_parameter_that_the_balance_left_at_zero():
     campaign = noisy_strip(2)
     assert qf.identify(campaign).fabric.shear.C_mid < 1e-9

@@ -3,6 +3,7 @@
 Each off-axis test is solved at a few displacements, more of them where the force rises steeply; in
 between, the ratio of its force to the power balance of inextensible fibres (`specimen`) is
 interpolated, which is smooth where the force is not.
+
 The derivatives come from the converged states. With the tangent K, the response v = dx/du of the
 sheet to the grip, the volumes V and the gradient dI6 of the invariant of each triangle,
 
@@ -85,7 +86,7 @@ def identify_by_elements(
         trials.append((late, unknowns, search(unknowns, *_together(models, unknowns), TOLERANCE)))
         if not np.isfinite(trials[-1][2].cost):
             raise InputError("a test finds no equilibrium under the law of the power balance")
-        if not late:
+        if not late or keep.keys() & set(LOCKING):
             break
     _, unknowns, found = choose(trials)
     law = unknowns.law(found.x)
