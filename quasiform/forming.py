@@ -113,6 +113,7 @@ class _Build:
     ) -> None:
         self.file, self.fabric, self.size, self.goal = file, fabric, size, goal
         self.orientation, self.symmetry, self.turn, self.given = orientation, symmetry, turn, name
+        self.made: list[Tool] = []
         self.model: list[tuple[str, str]] = [
             ("bending of warp and weft lines", "the sheet leaves its plane")
         ]
@@ -124,7 +125,8 @@ class _Build:
             free_mesh.outline_of(own) if own else file.outline, self.turn, origin=(0, 0)
         )
         self._check_size()
-        self.tools = [self._tool(part) for part in file.tools]
+        self.made = self.made or [self._tool(part) for part in file.tools]
+        self.tools = self.made
         self._check_clearance()
         mirror = self._mirror_planes()
         self.frame = self.orientation + self.turn if mirror else 0.0
@@ -501,12 +503,16 @@ class _Build:
         return scene
 
     def _resized(self, size: float) -> Scene:
-        return forming(
+        """Build the same scene at another size; its tools are those made already."""
+        other = _Build(
             self.file,
-            self.orientation,
             self.fabric,
             size,
+            self.orientation,
             self.goal,
             self.symmetry,
             self.turn,
+            self.given,
         )
+        other.made = self.made
+        return other.scene()
