@@ -11,6 +11,7 @@ Units are mm, N, MPa and mJ; angles are degrees at this edge.
 
 from .blank import Blank, rectangle
 from .checks import InputError
+from .compare import Comparison, compare
 from .experiments import cantilever, off_axis_tension, picture_frame
 from .forming import forming
 from .identification import Identification, identify
@@ -18,14 +19,16 @@ from .material import Fabric, TabulatedLaw, ThreeStageLaw
 from .progress import progress
 from .result import Result
 from .scene import Scene
-from .solve import Progress, refine, solve
+from .solve import Journal, Progress, refine, solve, spread
 from .tool import Tool
 
 __all__ = [
     "Blank",
+    "Comparison",
     "Fabric",
     "Identification",
     "InputError",
+    "Journal",
     "Progress",
     "Result",
     "Scene",
@@ -33,6 +36,7 @@ __all__ = [
     "ThreeStageLaw",
     "Tool",
     "cantilever",
+    "compare",
     "forming",
     "identify",
     "off_axis_tension",
@@ -41,4 +45,5 @@ __all__ = [
     "rectangle",
     "refine",
     "solve",
+    "spread",
 ]

@@ -1,16 +1,17 @@
-"""The folder of a result: checked before a run, replaced as a whole after it."""
+"""The folder of a result: checked before a run, filled as it goes, or replaced as a whole."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from .checks import InputError
 
 INCREMENTS = "increment_*.vtu"
+RESUME = "resume.npz"
 PICTURES = ("shear_angle.png", "history.png", "doubt.png")
 FILES = (
     "summary.json",
@@ -19,6 +20,7 @@ FILES = (
     "result.vtu",
     "result.pvd",
     *PICTURES,
+    RESUME,
 )
 
 
@@ -66,14 +68,32 @@ def replaced(
         As `check_folder`.
     """
     folder = check_folder(out, force=force, names=names)
+    with _writing_to(folder), added(folder, instead=names) as staging:
+        yield staging
+
+
+@contextmanager
+def added(folder: Path, *, instead: Sequence[str] = ()) -> Iterator[Path]:
+    """Yield an empty folder whose files are put into `folder` at the end, each in one step.
+
+    Parameters
+    ----------
+    folder : path
+    instead : sequence of str
+        Names of an older result, whose files go then; the folder is made if missing.
+
+    Raises
+    ------
+    OSError
+        If the folder is gone or cannot be written.
+    """
     with (
-        _writing_to(folder),
-        _made(folder),
-        TemporaryDirectory(prefix=".new-", dir=folder) as staging,
+        _made(folder) if instead else nullcontext(),
+        TemporaryDirectory(prefix=".new-", dir=folder, ignore_cleanup_errors=True) as staging,
     ):
         yield Path(staging)
         new = {path.name for path in Path(staging).iterdir()}
-        old = [path for path in _held(folder, names) if path.name not in new]
+        old = [path for path in _held(folder, instead) if path.name not in new]
         for name in sorted(new):
             os.replace(Path(staging, name), folder / name)
         for path in old:

@@ -114,6 +114,41 @@ def shear_gradient(blank: Blank, gamma: FloatArray) -> FloatArray:
     return np.linalg.norm(grad, axis=0)
 
 
+def waves(flat: FloatArray, along: FloatArray, curvature: FloatArray) -> tuple[int, float | None]:
+    """Count the fibre lines of a family that wave, and measure their wavelength.
+
+    A line that a tool bends turns its curvature twice, from the flange to the punch and back; one
+    that waves does so at least four times. Curvature below a tenth of the largest is no wave.
+
+    Parameters
+    ----------
+    flat : (n, 2) array
+        Nodes of the flat sheet, mm.
+    along : (2,) array
+        Direction of the family.
+    curvature : (n,) array
+        Normal curvature of the family at the nodes, 1/mm; nan where it has none.
+
+    Returns
+    -------
+    lines : int
+    wavelength : float or None
+        Twice the median distance of inflections on these lines, on the flat sheet, mm.
+    """
+    bent = np.abs(curvature) > 0.1 * np.nanmax(np.abs(curvature), initial=0.0)
+    t = np.round(flat[bent] @ [along[1], -along[0]], 6)
+    s, kappa = flat[bent] @ along, curvature[bent]
+    order = np.lexsort((s, t))
+    s, t, kappa = s[order], t[order], kappa[order]
+    turns = (t[1:] == t[:-1]) & (kappa[1:] * kappa[:-1] < 0)
+    at, line = 0.5 * (s[1:] + s[:-1])[turns], t[1:][turns]
+    lines, count = np.unique(line, return_counts=True)
+    wavy = lines[count >= 4]
+    keep = np.isin(line, wavy)
+    spacing = np.diff(at[keep])[np.diff(line[keep]) == 0]
+    return len(wavy), 2.0 * float(np.median(spacing)) if len(spacing) else None
+
+
 def discretisation_error(values: Sequence[FloatArray | float]) -> FloatArray | float:
     """Error of the mesh from the same quantity on meshes that double in size, finest first.
 

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
 from .blank import Blank
+from .energy.bending import Bending
 from .energy.contact import LEVER
 from .files import replaced
 from .measure import (
@@ -24,6 +25,7 @@ from .measure import (
     percentile,
     shear_gradient,
     shear_stability,
+    waves,
 )
 from .scene import COLLAPSE, Scene
 
@@ -31,6 +33,7 @@ FloatArray = np.ndarray
 CERTIFIED_RESIDUAL = 1e-3
 CERTIFIED_BALANCE = 1e-2
 CERTIFIED_PENETRATION = 0.03  # of the thickness
+LIFTED = 0.1  # of the thickness: a flange that is lifted further has wrinkled
 
 
 @dataclass(frozen=True)
@@ -59,7 +62,7 @@ class Result:
         Time of the solve alone.
     linear_solves, increments : int
     settings : dict
-        How it was solved: increment, method, tolerance, convex, linear.
+        How it was solved: increment, method, linear, tolerance, convex, perturbation, seed.
     rescues : dict of rung to count
     residual : float
         Sum of the nodal residuals at the end relative to the driving force, lags refreshed.
@@ -67,6 +70,12 @@ class Result:
         |work in - stored - dissipated| / work in.
     negative_pivots : int or None
         Of the exact tangent at the end; None where the linear solver does not tell.
+    stabilisation : float
+        Work of the rescues (proximal steps, dynamic relaxation) on the way relative to the energy
+        stored at the end. Their forces are in no state.
+    snaps : list of dict
+        Where the sheet jumped to another state, and the energy this released: from_mm, to_mm,
+        released_mJ.
     collapse : dict or None
         Where and when a triangle first passed 85 degrees or turned over.
     solve_s : float
@@ -77,6 +86,8 @@ class Result:
         not estimated.
     shear_angle_error : (n_triangles,) array or None
         The same of the shear angle, degrees.
+    spread : dict
+        Scatter of the `quantities` over perturbed starts, where it was asked for (`solve.spread`).
     path : Result or None
         Where only the end was solved on this mesh: the way there on a coarser one.
     """
@@ -92,12 +103,15 @@ class Result:
     residual: float
     energy_balance: float
     negative_pivots: int | None
+    stabilisation: float = 0.0
+    snaps: list[dict[str, float]] = field(default_factory=list)
     collapse: dict[str, Any] | None = None
     estimate: dict[str, float | None] = field(
         default_factory=lambda: {"shear_angle_deg": None, "force_N": None}
     )
     solve_s: float = 0.0
     shear_angle_error: FloatArray | None = None
+    spread: dict[str, dict[str, float | bool]] = field(default_factory=dict)
     path: Result | None = None
 
     @property
@@ -211,21 +225,36 @@ class Result:
         return [positions[loop] for loop in self.blank.outline]
 
     @property
-    def wrinkles(self) -> dict[str, float]:
-        """How far the sheet leaves the tools' flat faces, mm, and its largest curvature, 1/mm."""
+    def wrinkles(self) -> dict[str, float | None]:
+        """How far the sheet leaves flat faces (mm), its largest curvature (1/mm), and its waves.
+
+        The waves of each family of fibres off punch and die: how many lines, their wavelength (mm).
+        """
         scene, x = self.scene, self.states[-1].x
-        lift = 0.0
+        found: dict[str, float | None] = {"flange_lift_mm": 0.0}
         for contact in scene.contacts:
             if contact.tool.motion == "fixed":
                 d, n, _ = contact.distance(contact.relative(x))
                 above = np.abs(n[:, 2]) > 0.99
                 if above.any():
-                    lift = max(lift, float((d - contact.reach - contact.points.sag)[above].max()))
-        curvatures = [np.abs(t.curvature(x)).max() for t in scene.terms if hasattr(t, "curvature")]
-        return {
-            "flange_lift_mm": lift,
-            **({"largest_curvature_1_per_mm": float(max(curvatures))} if curvatures else {}),
-        }
+                    lift = float((d - contact.reach - contact.points.sag)[above].max())
+                    found["flange_lift_mm"] = max(found["flange_lift_mm"], lift)
+        for term in scene.terms:
+            if not isinstance(term, Bending):
+                continue
+            kappa = term.curvature(x)
+            found["largest_curvature_1_per_mm"] = float(np.abs(kappa).max())
+            at_nodes = np.full((len(scene.blank.nodes), 2), np.nan)
+            at_nodes[term.dofs[:, 0] // 3] = kappa
+            for contact in scene.contacts:
+                if contact.tool.motion != "free":
+                    at_nodes[contact.nodal_force(x) > 0] = np.nan
+            blank, source, *_ = scene.whole
+            for f, family in enumerate(("warp", "weft")):
+                lines, wavelength = waves(blank.nodes, getattr(blank, family), at_nodes[source, f])
+                found[f"waving_{family}_lines"] = lines
+                found[f"{family}_wavelength_mm"] = wavelength
+        return found
 
     def resting_tools(self) -> dict[str, dict[str, float | list[float]]]:
         """Lift (mm) and tilt (degrees) of each free tool, or the moment its guide takes (N mm)."""
@@ -318,6 +347,24 @@ class Result:
         if self.collapse:
             doubts.append(f"collapsed from {self.collapse['travel_mm']:.4g} mm on")
         return "; ".join(doubts) if doubts else True
+
+    @property
+    def one_of_many(self) -> str:
+        """Why the state found is one of several, in words; empty where nothing tells so."""
+        signs = []
+        if saddles := self.rescues.get("saddle left", 0):
+            signs.append(f"{saddles} saddle{'s were' if saddles > 1 else ' was'} left on the way")
+        if self.snaps:
+            signs.append(
+                f"the sheet jumped {len(self.snaps)} times, first near "
+                f"{self.snaps[0]['to_mm']:.4g} mm"
+            )
+        lift = self.wrinkles["flange_lift_mm"]
+        if lift > LIFTED * self.scene.fabric.thickness:
+            signs.append(f"the flange lifts by {lift:.2f} mm")
+        if scattered := [name for name, entry in self.spread.items() if not entry["robust"]]:
+            signs.append(f"perturbed starts scatter in {', '.join(scattered)}")
+        return "; ".join(signs)
 
     @property
     def quantities(self) -> dict[str, float]:
@@ -423,6 +470,10 @@ class Result:
             "fibre_strain_max": float(np.sqrt(max(I4.max(), I8.max())) - 1.0),
             "collapse": self.collapse,
             "rescues": self.rescues,
+            "stabilisation_work_relative": self.stabilisation,
+            "snaps": self.snaps,
+            "one_of_many": self.one_of_many or None,
+            "spread": self.spread or None,
             "certified": self.certified,
         }
         area = blank.areas
@@ -458,16 +509,28 @@ class Result:
             If the folder holds a result already and `force` is not set, or cannot be written.
         """
         with replaced(out, force=force) as folder:
-            self._write(folder)
+            self.write(folder)
         if (
             self.scene.outputs["pictures"] if pictures is None else pictures
         ):  # last: the numbers of a long run shall not depend on them
-            from .plot import save_pictures
-
-            save_pictures(self, Path(out))
+            self.draw(Path(out))
         return Path(out)
 
-    def _write(self, folder: Path) -> None:
+    def draw(self, folder: Path) -> None:
+        """Draw the pictures into an existing folder."""
+        from .plot import save_pictures
+
+        save_pictures(self, folder)
+
+    def write(self, folder: Path, since: int = 0) -> None:
+        """Write all but the pictures into an existing folder.
+
+        Parameters
+        ----------
+        folder : path
+        since : int
+            First of the states along the travel whose mesh is written.
+        """
         summary = json.dumps(self.summary(), indent=2, allow_nan=False)
         (folder / "summary.json").write_text(summary + "\n", encoding="utf-8")
         with (folder / "history.csv").open("w", newline="", encoding="utf-8") as file:
@@ -486,7 +549,8 @@ class Result:
         followed = self.followed if self.scene.outputs["increments"] else []
         for number, (result, i) in enumerate(followed):
             name, travel = f"increment_{number:04d}.vtu", result.states[i].travel
-            result._mesh(i).write(folder / name)
+            if number >= since:
+                result._mesh(i).write(folder / name)
             ET.SubElement(series, "DataSet", timestep=f"{travel:.8g}", part="0", file=name)
         ET.ElementTree(collection).write(folder / "result.pvd", xml_declaration=True)
         self._mesh(-1).write(folder / "result.vtu")
@@ -505,6 +569,8 @@ def _finite(content: Any) -> Any:
     """Replace numbers that are not finite by None, which JSON can hold."""
     if isinstance(content, dict):
         return {key: _finite(value) for key, value in content.items()}
+    if isinstance(content, list | tuple):
+        return [_finite(entry) for entry in content]
     if isinstance(content, float) and not np.isfinite(content):
         return None
     return content

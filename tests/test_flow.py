@@ -11,7 +11,8 @@ import quasiform
 # Each line may import from the lines above it, and a folder from itself.
 FLOW = """
     checks
-    files material net surface_file
+    files material net cad_mesh
+    surface_file
     blank tool
     outline surface
     free_mesh scene_file
@@ -22,7 +23,7 @@ FLOW = """
     solve
     experiments forming theory
     plot
-    identification compare export progress study
+    identification compare export progress study view
     report
     cli
     __main__

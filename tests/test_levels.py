@@ -122,7 +122,7 @@ def test_a_scene_is_solved_alike_a_second_time():
 def test_a_path_that_stops_is_the_result(monkeypatch):
     stopped = qf.solve(qf.forming("hemisphere", size=10, travel=5), estimate=False)
     stopped.reason = "torn"
-    monkeypatch.setattr(levels, "solve", lambda *arguments, **named: stopped)
+    monkeypatch.setattr(levels, "follow", lambda *arguments, **named: stopped)
     result = qf.refine(qf.forming("hemisphere", size=5, travel=5))
     assert result is stopped
     assert result.scene.size == 10

@@ -10,9 +10,11 @@ Hessians of its stencils::
 
 x is the flat vector of node positions followed by the rigid degrees of freedom (tool heights, load
 factors). Evaluating changes nothing. A term with memory also has `refresh(x)` (lagged values,
-between Newton solves) and `commit(x)` (after a converged increment). A term whose Hessian is the
-same everywhere may say so, `quadratic = True`: it is then evaluated and summed once. Gradients and
-Hessians that are kept with the stencils as the last axis in memory are summed without a copy.
+between Newton solves) and `commit(x)` (after a converged increment); with `memory()`, which returns
+all that it remembers as arrays by name, and `recall(memory)`, a run that was killed can be carried
+on. A term whose Hessian is the same everywhere may say so, `quadratic = True`: it is then evaluated
+and summed once. Gradients and Hessians that are kept with the stencils as the last axis in memory
+are summed without a copy.
 """
 
 from __future__ import annotations

@@ -73,6 +73,23 @@ class Friction:
         self.anchor = np.where((p > 0)[:, None], points - keep[:, None] * s, np.nan)
         self._committed = points, p, self.anchor
 
+    def memory(self) -> dict[str, FloatArray]:
+        """Return all that is remembered, as arrays by name."""
+        points, p, anchor = self._committed
+        return {
+            "points": points,
+            "p": p,
+            "touched": anchor,
+            "anchor": self.anchor,
+            "normal": self.normal,
+            "limit": self.limit,
+        }
+
+    def recall(self, memory: dict[str, FloatArray]) -> None:
+        """Take over what `memory` returned."""
+        self._committed = memory["points"], memory["p"], memory["touched"]
+        self.anchor, self.normal, self.limit = (memory[k] for k in ("anchor", "normal", "limit"))
+
     def adopt(
         self, x: FloatArray, before: FloatArray, touched: np.ndarray, limit: FloatArray
     ) -> None:

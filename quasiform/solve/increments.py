@@ -1,8 +1,11 @@
 """Load increments: predict, Newton, rescue, commit.
 
 The travel is followed in increments that shrink when a solve fails and grow again when it is easy.
-When the shortest increment fails too, dynamic relaxation is tried and its state handed back to
-Newton; when that fails the run stops and says where and why, with everything up to there kept.
+A state is found by the first rung of a ladder that carries there: Newton's method with the convex
+tangent where the exact one is not positive definite, a shorter increment, proximal steps, dynamic
+relaxation. The last two only bring a state near: it is always solved by the equations of the scene
+alone. Where the shortest increment fails on every rung, the run stops and says where and why, with
+everything up to there kept.
 """
 
 from __future__ import annotations
@@ -10,7 +13,8 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -19,11 +23,15 @@ from ..checks import InputError, check_number
 from ..energy.friction import Friction
 from ..result import Result, State
 from ..scene import Scene
+from .journal import Journal
 from .newton import Equilibrium, NotConvergedError
+from .proximal import creep
 from .relaxation import relax
 
 FloatArray = np.ndarray
 SHORTEST = 1 / 64  # of the largest increment
+CREEPING = 1 / 4  # of the largest increment: from there on down proximal steps are tried
+MOST_INCREMENTS = 10_000
 WEIGHED = 5e-3  # of the work to come: what an increment may miss by the trapezoidal rule
 
 
@@ -40,6 +48,33 @@ class Progress:
     elapsed: float
 
 
+@dataclass(frozen=True)
+class Settings:
+    """How a scene is solved; see `solve`."""
+
+    increment: float | None = None
+    method: str = "newton"
+    linear: str = "auto"
+    tolerance: float = 1e-4
+    convex: str = "on demand"
+    perturbation: float = 0.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.method not in ("newton", "relaxation"):
+            raise InputError(f"unknown method '{self.method}': expected 'newton' or 'relaxation'")
+        if self.increment is not None:
+            check_number("increment", self.increment)
+        check_number("tolerance", self.tolerance)
+        check_number("perturbation", self.perturbation, zero_allowed=True)
+        if not isinstance(self.seed, int) or self.seed < 0:
+            raise InputError(f"seed must be a whole number of at least zero, got {self.seed!r}")
+        if self.convex not in ("on demand", "always", "never"):
+            raise InputError(
+                f"convex must be 'on demand', 'always' or 'never', got {self.convex!r}"
+            )
+
+
 def solve(
     scene: Scene,
     callback: Callable[[Progress], None] | None = None,
@@ -47,8 +82,12 @@ def solve(
     method: Literal["newton", "relaxation"] = "newton",
     linear: str = "auto",
     tolerance: float = 1e-4,
-    convex: Literal["on demand", "always"] = "on demand",
+    convex: Literal["on demand", "always", "never"] = "on demand",
     estimate: bool = True,
+    perturbation: float = 0.0,
+    seed: int = 0,
+    out: str | Path | Journal | None = None,
+    resume: bool = False,
 ) -> Result:
     """Follow the travel of a scene to its end.
 
@@ -66,11 +105,21 @@ def solve(
         Linear solver: "auto", "pardiso", "superlu" or "amg".
     tolerance : float
         Sum of the nodal residuals relative to the driving force.
-    convex : "on demand" or "always"
+    convex : "on demand", "always" or "never"
         When the convex tangent takes the place of the exact one.
     estimate : bool
         Solve the scene on meshes twice and, where its tools allow, four times as coarse too; the
         differences are the error estimate.
+    perturbation : float
+        Noise on every node at the start of every increment's solve, mm (standard deviation): what
+        changes with it is one of several states.
+    seed : int
+        Of the noise.
+    out : path or Journal, optional
+        Folder in which the run is recorded increment by increment; a run that was killed is
+        carried on from there.
+    resume : bool
+        Carry on the run of this scene in `out`.
 
     Returns
     -------
@@ -80,41 +129,80 @@ def solve(
     Raises
     ------
     InputError
-        For a bad increment, method or linear solver.
+        For a bad setting, for a folder that cannot be written or holds a result already, and with
+        `resume` for one that holds no such run.
     """
-    if method not in ("newton", "relaxation"):
-        raise InputError(f"unknown method '{method}': expected 'newton' or 'relaxation'")
-    if increment is not None:
-        check_number("increment", increment)
-    check_number("tolerance", tolerance)
-    if convex not in ("on demand", "always"):
-        raise InputError(f"convex must be 'on demand' or 'always', got {convex!r}")
+    settings = Settings(increment, method, linear, tolerance, convex, perturbation, seed)
+    journal = out if isinstance(out, Journal) or out is None else Journal(out, resume=resume)
+    result = follow(scene, settings, callback, journal)
+    if estimate and not result.reason and scene.resized:
+        coarser: list[Result] = []
+        # too coarse to be built, or interrupted: the result stands with what there is
+        with suppress(InputError, KeyboardInterrupt):
+            for size in (2 * scene.size, 4 * scene.size):
+                if size > scene.coarsest and coarser:
+                    break
+                coarser.insert(0, follow(scene.resized(size), settings))
+                if coarser[0].reason:
+                    break
+        result.judge(coarser)
+    if journal:
+        journal.close(result)
+    return result
+
+
+def follow(
+    scene: Scene,
+    settings: Settings,
+    callback: Callable[[Progress], None] | None = None,
+    journal: Journal | None = None,
+) -> Result:
+    """Follow the travel on one mesh, from its start or from where a journal's run has come to."""
     clock = time.perf_counter()
-    equilibrium = Equilibrium(scene, linear, tolerance, convex)
-    run = Run(equilibrium, method, increment)
-    largest = min(increment or scene.increment, scene.travel)
-    rows = increment or scene.rows
+    run = Run(Equilibrium(scene, settings.linear, settings.tolerance, settings.convex), settings)
+    equilibrium = run.equilibrium
+    if settings.increment and scene.travel > MOST_INCREMENTS * settings.increment:
+        least = scene.travel / MOST_INCREMENTS
+        raise InputError(f"increment must be at least {least:g}, got {settings.increment:g}")
+    largest = min(settings.increment or scene.increment, scene.travel)
+    rows = settings.increment or scene.rows
     shortest = SHORTEST * largest
     reason = ""
-    states: list[State] = []
-    try:
-        x = run.start()
-    except NotConvergedError as error:
-        x, reason = scene.x0, f"at the start: {error}"
-        run.back_to(x, 0.0)
-    run.open(x)
-    states.append(run.state(x, 0.0))
     # where tools are about to touch, the first response is the most curved
-    s, step = 0.0, largest / 16 if method == "newton" and scene.contacts else largest
-    while not reason and s < scene.travel * (1 - 1e-12):
+    step = largest / 16 if settings.method == "newton" and scene.contacts else largest
+    if journal and journal.held:
+        step, gone = journal.restore(run)
+        clock -= gone
+    else:
+        try:
+            x = run.start()
+        except NotConvergedError as error:
+            x, reason = scene.x0, f"at the start: {error}"
+            run.back_to(x, 0.0)
+        run.open(x)
+        run.keep()
+
+    def record() -> None:
+        nonlocal reason
+        if journal:
+            try:
+                journal.record(run, step, time.perf_counter() - clock)
+            except OSError as error:
+                reason = f"cannot write to {journal.folder}: {error.strerror or error}"
+
+    record()
+    while not reason and run.travel < scene.travel * (1 - 1e-12):
+        s = run.travel
         goal = float(min(rows * np.floor(s / rows * (1 + 1e-12) + 1), scene.travel))
         target = goal if s + step * (1 + 1e-6) >= goal else s + step
         before = equilibrium.linear_solves
-        finest = increment is not None or target - s <= largest / 16
+        finest = settings.increment is not None or target - s <= largest / 16
+        rungs = [proximal] * bool(step <= CREEPING * largest)
+        rungs += [dynamic_relaxation] * bool(step <= shortest)
         try:
-            x = run.advance(x, s, target, rescue=step <= shortest, weigh=not finest)
+            run.advance(target, rungs, weigh=not finest)
         except (NotConvergedError, _TooCoarseError) as error:
-            run.back_to(x, s)
+            run.back_to(run.x, s)
             if isinstance(error, NotConvergedError):
                 run.count("shorter step")
                 if step <= shortest:
@@ -122,47 +210,26 @@ def solve(
             step = max(0.5 * min(step, target - s), shortest)
             continue
         except KeyboardInterrupt:
-            run.back_to(x, s)
+            run.back_to(run.x, s)
             reason = f"interrupted between {s:.4g} and {target:.4g} of {scene.travel:.4g}"
             break
-        s = target
-        if lost := scene.lost(x):
+        s = run.travel
+        if lost := scene.lost(run.x):
             reason = f"at {s:.4g} of {scene.travel:.4g}: {lost}"
         solves = equilibrium.linear_solves - before
         if solves <= 200:  # a snap takes as many at any step
             step = min((2.0 if solves <= 30 else 1.5) * step, largest)
         if s == goal:
-            states.append(run.state(x, s))
-        if callback:
-            progress = Progress(
-                s,
-                scene.travel,
-                equilibrium.residual(equilibrium.potential.gradient(x)),
-                run.books[-1].force / scene.share,
-                sum(int((c.penetration(x) > 0).sum()) for c in scene.contacts),
-                equilibrium.linear_solves,
-                time.perf_counter() - clock,
-            )
-            try:
-                callback(progress)
-            except KeyboardInterrupt:
-                reason = f"interrupted at {s:.4g} of {scene.travel:.4g}"
-    if states[-1].travel < s:
-        states.append(run.state(x, s))
-    result = run.result(states, reason, time.perf_counter() - clock)
-    if estimate and not reason and scene.resized:
-        coarser: list[Result] = []
-        settings = (None, increment, method, linear, tolerance, convex, False)
-        # too coarse to be built, or interrupted: the result stands with what there is
-        with suppress(InputError, KeyboardInterrupt):
-            for size in (2 * scene.size, 4 * scene.size):
-                if size > scene.coarsest and coarser:
-                    break
-                coarser.insert(0, solve(scene.resized(size), *settings))
-                if coarser[0].reason:
-                    break
-        result.judge(coarser)
-    return result
+            run.keep()
+        try:
+            record()
+            if callback:
+                callback(run.progress(time.perf_counter() - clock))
+        except KeyboardInterrupt:
+            reason = f"interrupted at {s:.4g} of {scene.travel:.4g}"
+    if run.states[-1].travel < run.travel:
+        run.keep()
+    return run.result(reason, time.perf_counter() - clock)
 
 
 class _TooCoarseError(ArithmeticError):
@@ -170,7 +237,7 @@ class _TooCoarseError(ArithmeticError):
 
 
 @dataclass(frozen=True)
-class _Entry:
+class Entry:
     """Energy account of an equilibrium state."""
 
     travel: float
@@ -180,14 +247,16 @@ class _Entry:
 
 
 class Run:
-    """The bookkeeping of one run: work, friction losses, rescues, certificate."""
+    """One run: where it is, the states kept, work, friction losses, rescues, certificate."""
 
-    def __init__(self, equilibrium: Equilibrium, method: str, increment: float | None) -> None:
-        self.equilibrium, self.method, self.increment = equilibrium, method, increment
-        self.scene = equilibrium.scene
+    def __init__(self, equilibrium: Equilibrium, settings: Settings) -> None:
+        self.equilibrium, self.settings, self.scene = equilibrium, settings, equilibrium.scene
+        self.x, self.travel, self.states = self.scene.x0, 0.0, list[State]()
         self.rescues: dict[str, int] = {}
-        self.books: list[_Entry] = []
-        self.work = self.gap = 0.0
+        self.increments = 0
+        self.work = self.gap = self.damped = 0.0
+        self.snaps: list[dict[str, float]] = []
+        self.doubt = (-np.inf, np.inf)  # target and gap of an increment that was too coarse
         self.collapse: dict[str, Any] | None = None
 
     def count(self, rung: str) -> None:
@@ -199,13 +268,30 @@ class Run:
         for term in self.scene.frictions:  # of an earlier run on this scene
             term.reset(x)
         if self.scene.resting:
-            x = self._relax(x, 0.0) if self.method == "relaxation" else self._solve(x)
+            x = self._shaken(x)
+            if self.settings.method == "relaxation":
+                x = self._relaxed(x, 0.0)
+            else:
+                try:
+                    x = self._solve(x)
+                except NotConvergedError:
+                    self.back_to(self.scene.x0, 0.0)
+                    self.count("dynamic relaxation")
+                    x = self._solve(self._relaxed(self.scene.x0, 0.0, 1e-2, 5000))
             self._commit(x)
         return x
 
     def open(self, x: FloatArray, s: float = 0.0) -> None:
         """Open the books at the start, or where a run takes over."""
-        self.books.append(self._entry(x, s))
+        self.x, self.travel, self.entry = x, s, self._entry(x, s)
+
+    def reopen(
+        self, travel: float, force: float, stored: float, rubbing: dict[str, FloatArray]
+    ) -> None:
+        """Put the last entry of the books back as a journal has kept it."""
+        tools = range(len(self.scene.frictions))
+        rubbed = [(rubbing[f"{i} force"], rubbing[f"{i} place"]) for i in tools]
+        self.entry = Entry(travel, force, stored, rubbed)
 
     def settle(self, x: FloatArray) -> FloatArray:
         """Find the equilibrium near x and commit it.
@@ -218,49 +304,89 @@ class Run:
         self._commit(x)
         return x
 
-    def advance(
-        self, x: FloatArray, s: float, target: float, rescue: bool, weigh: bool
-    ) -> FloatArray:
-        """Carry the state x at travel s to the travel `target` and commit it.
+    def advance(self, target: float, rungs: list[Rung], weigh: bool) -> None:
+        """Carry the state to the travel `target` and commit it.
+
+        Parameters
+        ----------
+        target : float
+        rungs : list of functions (run, target) to x
+            What to try, in order, where Newton's method fails.
+        weigh : bool
+            Refuse an increment over which the energy balance is open by too much.
 
         Raises
         ------
         NotConvergedError
         _TooCoarseError
-            With `weigh`, if the energy balance of the increment is open by too much.
         """
-        equilibrium = self.equilibrium
-        try:
-            if self.method == "relaxation":
-                moved = self._relax(x, target)
-            else:
-                moved = self._solve(equilibrium.predict(x, target))
-        except NotConvergedError:
-            if not rescue or self.method == "relaxation":
-                raise
-            self.back_to(x, s)
-            self.count("dynamic relaxation")
-            moved = self._solve(self._relax(x, target, 1e-2, 5000))
+        s = self.travel
+        saddles, damped = self.rescues.get("saddle left", 0), self.damped
+        moved = self._climb(target, rungs)
         entry = self._entry(moved, target)
         work, gap = self._work(entry)
         # at the end there will be at least the work so far in proportion to the travel
         expected = (abs(self.work) + abs(work)) * self.scene.travel / target
-        if weigh and abs(gap) > WEIGHED * expected:
+        coarse = abs(gap) > WEIGHED * expected
+        tried, missed = self.doubt
+        if coarse and weigh:
+            self.damped, self.doubt = damped, (target, gap)
             raise _TooCoarseError
-        self.books.append(entry)
+        # what a jump releases does not fall with the increment as the error of the rule does
+        jumped = coarse and target <= tried and gap > 0.5 * missed
+        jumped |= self.rescues.get("saddle left", 0) > saddles or self.damped > damped
+        if jumped and gap > 0:
+            self.snaps.append({"from_mm": s, "to_mm": target, "released_mJ": gap})
+        else:
+            self.gap += gap
+        self.x, self.travel, self.entry = moved, target, entry
         self.work += work
-        self.gap += gap
+        self.increments += 1
         self._commit(moved)
         if self.collapse is None:
             self.collapse = self.scene.collapsed(moved, target)
-        return moved
 
-    def _relax(self, x: FloatArray, target: float, *limits: float) -> FloatArray:
+    def _climb(self, target: float, rungs: list[Rung]) -> FloatArray:
+        """Newton's method, then each rung with Newton's method after it."""
+        x, s = self.x, self.travel
+        if self.settings.method == "relaxation":
+            still = np.zeros_like(x)
+            return self._leave_saddles(
+                self._relaxed(x, target), lambda x: relax(self.equilibrium, x, still)[0]
+            )
+        try:
+            return self._solve(self._shaken(self.equilibrium.predict(x, target)))
+        except NotConvergedError as error:
+            failed = error
+        damped = self.damped
+        for rung in rungs:
+            self.back_to(x, s)
+            self.damped = damped
+            self.count(rung.__name__.replace("_", " "))
+            with suppress(NotConvergedError):
+                return self._solve(rung(self, target))
+        self.damped = damped
+        raise failed
+
+    def _relaxed(self, x: FloatArray, target: float, *limits: float) -> FloatArray:
         self.equilibrium.travel = target
-        return relax(self.equilibrium, x, self.equilibrium.motion_to(x, target), *limits)
+        motion = self.equilibrium.motion_to(x, target)
+        x, damped = relax(self.equilibrium, self._shaken(x), motion, *limits)
+        if limits:  # as a rescue
+            self.damped += damped
+        return x
+
+    def _shaken(self, x: FloatArray) -> FloatArray:
+        """Add the perturbation; each increment has its own noise."""
+        if not self.settings.perturbation:
+            return x
+        noise = np.random.default_rng([self.settings.seed, self.increments]).normal(size=len(x))
+        loose = ~self.scene.fixed & (np.arange(len(x)) < self.scene.n_nodal)
+        shaken = x + self.settings.perturbation * np.where(loose, noise, 0.0)
+        return x if self.equilibrium.turns_over(x, shaken) else shaken
 
     def _solve(self, x: FloatArray) -> FloatArray:
-        return self._leave_saddles(self.equilibrium.settle(x))
+        return self._leave_saddles(self.equilibrium.settle(x), self.equilibrium.settle)
 
     def back_to(self, x: FloatArray, s: float) -> None:
         """Undo what a failed increment has lagged."""
@@ -268,29 +394,32 @@ class Run:
         for term in self.scene.remembering:
             term.refresh(x)
 
-    def _leave_saddles(self, x: FloatArray, tries: int = 3) -> FloatArray:
+    def _leave_saddles(
+        self, x: FloatArray, settle: Callable[[FloatArray], FloatArray], tries: int = 8
+    ) -> FloatArray:
         """Follow negative curvature down until the exact tangent is positive definite.
 
-        After `tries` the saddle is kept; the certificate tells.
+        Near a limit point the way down is flat and curved, and each try takes twice the stride of
+        the last. After `tries` the saddle is kept; the certificate tells.
         """
         equilibrium = self.equilibrium
         if not equilibrium.solver.inertia:
             return x
-        for _ in range(tries):
+        for i in range(tries):
             negative, _ = equilibrium.factor(x, convex=False)
             if not negative:
                 break
             self.count("saddle left")
-            x = equilibrium.settle(equilibrium.downhill(x))
+            x = settle(equilibrium.downhill(x, 1e-3 * 2**i))
         return x
 
     def _commit(self, x: FloatArray) -> None:
         for term in self.scene.remembering:
             term.commit(x)
 
-    def _entry(self, x: FloatArray, s: float) -> _Entry:
+    def _entry(self, x: FloatArray, s: float) -> Entry:
         scene = self.scene
-        return _Entry(
+        return Entry(
             travel=s,
             force=self.equilibrium.force(self.equilibrium.potential.gradient(x)),
             stored=float(
@@ -299,9 +428,9 @@ class Run:
             rubbing=[(t.force(x), t.contact.relative(x)) for t in scene.frictions],
         )
 
-    def _work(self, now: _Entry) -> tuple[float, float]:
+    def _work(self, now: Entry) -> tuple[float, float]:
         """Work done since the last entry by the trapezoidal rule, and what the balance misses."""
-        last = self.books[-1]
+        last = self.entry
         work = 0.5 * (last.force + now.force) * (now.travel - last.travel)
         rubbed = sum(
             float((0.5 * (f0 + f1) * (p1 - p0)).sum())
@@ -309,44 +438,71 @@ class Run:
         )
         return work, work - (now.stored - last.stored) - rubbed
 
-    def state(self, x: FloatArray, s: float) -> State:
-        measures = {name: measure(x) for name, measure in self.scene.measures.items()}
-        return State(
-            s,
-            x.copy(),
-            self.books[-1].force / self.scene.share,
-            self.equilibrium.linear_solves,
-            measures,
+    def keep(self) -> None:
+        """Keep the present state."""
+        self.states.append(
+            State(
+                self.travel,
+                self.x.copy(),
+                self.entry.force / self.scene.share,
+                self.equilibrium.linear_solves,
+                {name: measure(self.x) for name, measure in self.scene.measures.items()},
+            )
         )
 
-    def result(self, states: list[State], reason: str, wall: float) -> Result:
-        x = states[-1].x
-        g = self.equilibrium.potential.gradient(x)
+    def progress(self, elapsed: float) -> Progress:
+        """Tell how far the run has come."""
+        return Progress(
+            self.travel,
+            self.scene.travel,
+            self.equilibrium.residual(self.equilibrium.potential.gradient(self.x)),
+            self.entry.force / self.scene.share,
+            sum(int((c.penetration(self.x) > 0).sum()) for c in self.scene.contacts),
+            self.equilibrium.linear_solves,
+            elapsed,
+        )
+
+    def result(self, reason: str, wall: float) -> Result:
+        """Result of the states kept, the last of them the end."""
+        x, equilibrium = self.states[-1].x, self.equilibrium
+        g = equilibrium.potential.gradient(x)
         negative = None
-        if self.equilibrium.solver.inertia:
+        if equilibrium.solver.inertia:
             with suppress(NotConvergedError):  # a stopped run may have no tangent
-                negative, _ = self.equilibrium.factor(x, convex=False)
+                negative, _ = equilibrium.factor(x, convex=False)
+        own = {
+            "convex tangent": equilibrium.convex_taken,
+            "friction carried on": equilibrium.carried_on,
+        }
         return Result(
             scene=self.scene,
-            states=states,
+            states=list(self.states),
             reason=reason,
             wall_s=wall,
-            linear_solves=self.equilibrium.linear_solves,
-            increments=len(self.books) - 1,
-            rescues=self.rescues
-            | (
-                {"friction carried on": carried} if (carried := self.equilibrium.carried_on) else {}
-            ),
-            residual=self.equilibrium.residual(g, certified=True),
-            solve_s=self.equilibrium.solve_s / max(self.equilibrium.linear_solves, 1),
-            settings={
-                "increment": self.increment,
-                "method": self.method,
-                "tolerance": self.equilibrium.tolerance,
-                "convex": self.equilibrium.convex,
-                "linear": self.equilibrium.solver.name,
-            },
+            linear_solves=equilibrium.linear_solves,
+            increments=self.increments,
+            rescues=self.rescues | {rung: times for rung, times in own.items() if times},
+            residual=equilibrium.residual(g, certified=True),
+            solve_s=equilibrium.solve_s / max(equilibrium.linear_solves, 1),
+            settings=asdict(self.settings) | {"linear": equilibrium.solver.name},
             energy_balance=abs(self.gap) / max(abs(self.work), 1e-12),
+            stabilisation=self.damped / max(abs(self.entry.stored), 1e-12),
+            snaps=self.snaps,
             negative_pivots=negative,
             collapse=self.collapse,
         )
+
+
+Rung = Callable[[Run, float], FloatArray]
+
+
+def proximal(run: Run, target: float) -> FloatArray:
+    """Creep to near the equilibrium at the travel `target`."""
+    x, damped = creep(run.equilibrium, run.equilibrium.predict(run.x, target))
+    run.damped += damped
+    return x
+
+
+def dynamic_relaxation(run: Run, target: float) -> FloatArray:
+    """Relax to near the equilibrium at the travel `target`."""
+    return run._relaxed(run.x, target, 1e-2, 5000)

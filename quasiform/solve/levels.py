@@ -17,7 +17,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Any
+from pathlib import Path
 
 import numpy as np
 from scipy.interpolate import (
@@ -31,7 +31,8 @@ from ..checks import InputError, check_number
 from ..energy.contact import Contact
 from ..result import Result, State
 from ..scene import Scene
-from .increments import Progress, Run, solve
+from .increments import Progress, Run, Settings, follow
+from .journal import Journal
 from .newton import Equilibrium, NotConvergedError
 
 FloatArray = np.ndarray
@@ -47,6 +48,8 @@ def refine(
     increment: float | None = None,
     linear: str = "auto",
     tolerance: float = 1e-4,
+    out: str | Path | Journal | None = None,
+    resume: bool = False,
 ) -> Result:
     """Solve the end of a scene on its mesh, and the way there on a coarser one.
 
@@ -65,6 +68,10 @@ def refine(
         Linear solver.
     tolerance : float
         Sum of the nodal residuals relative to the driving force.
+    out : path or Journal, optional
+        Folder in which the path is recorded increment by increment, and the result at the end.
+    resume : bool
+        Carry on the run of this scene in `out`.
 
     Returns
     -------
@@ -76,23 +83,41 @@ def refine(
     Raises
     ------
     InputError
-        For bad numbers.
+        For bad numbers, and for the folder as in `solve`.
     """
     if accuracy is not None:
         check_number("accuracy", accuracy)
     clock = time.perf_counter()
-    settings = {"increment": increment, "linear": linear, "tolerance": tolerance}
-    if not _rebuilt_alike(scene):
-        result = solve(scene, callback, **settings)
-        _say_whether_accurate(result, accuracy)
-        return result
+    settings = Settings(increment, linear=linear, tolerance=tolerance)
+    journal = out if isinstance(out, Journal) or out is None else Journal(out, resume=resume)
+    if _rebuilt_alike(scene):
+        result = _refined(scene, callback, accuracy, settings, journal)
+    else:
+        result = follow(scene, settings, callback, journal)
+    _say_whether_accurate(result, accuracy)
+    result.wall_s = time.perf_counter() - clock
+    if journal:
+        journal.close(result)
+    return result
+
+
+def _refined(
+    scene: Scene,
+    callback: Callable[[Progress], None] | None,
+    accuracy: float | None,
+    settings: Settings,
+    journal: Journal | None,
+) -> Result:
+    """Level by level, with the estimate."""
     scenes = [scene]
     while 2 * scenes[0].size <= scene.coarsest * (1 + 1e-9):
         try:
             scenes.insert(0, scene.resized(2 * scenes[0].size))
         except InputError:  # too coarse for the blank
             break
-    path = solve(scenes[0], callback, estimate=False, **settings)
+    if journal and len(scenes) > 1:
+        journal.goal = f" on a mesh of {scenes[0].size:g} mm, the way to one of {scene.size:g} mm"
+    path = follow(scenes[0], settings, callback, journal)
     levels, last = [path], _last_increment(path)
     waiting = scenes[1:]
     while not levels[-1].reason:
@@ -115,10 +140,7 @@ def refine(
     result.judge(levels[:-1])
     if len(levels) == 1 and not result.reason:
         with suppress(InputError):  # too coarse to be built: the result stands without an estimate
-            coarse = scene.resized(2 * scene.size)
-            result.judge([solve(coarse, estimate=False, **settings)])
-    _say_whether_accurate(result, accuracy)
-    result.wall_s = time.perf_counter() - clock
+            result.judge([follow(scene.resized(2 * scene.size), settings)])
     return result
 
 
@@ -179,16 +201,16 @@ def _carry(
     last: _Motion,
     path: Result,
     callback: Callable[[Progress], None] | None,
-    settings: dict[str, Any],
+    settings: Settings,
 ) -> tuple[Result, Result, _Motion]:
     """Solve the end of a scene from that of a coarser one; the path too where that fails.
 
     Returns the result, the path behind it and its last increment.
     """
     clock = time.perf_counter()
-    equilibrium = Equilibrium(scene, settings["linear"], settings["tolerance"], max_iterations=MOST)
+    equilibrium = Equilibrium(scene, settings.linear, settings.tolerance, max_iterations=MOST)
     equilibrium.travel = coarse.states[-1].travel
-    run = Run(equilibrium, "newton", settings["increment"])
+    run = Run(equilibrium, settings)
     start = _start(scene, path)
     try:
         x, before = transferred(coarse, scene, last)
@@ -196,16 +218,17 @@ def _carry(
         if scene.lost(x):
             raise NotConvergedError(scene.lost(x), x, np.inf)
     except NotConvergedError:
-        result = solve(scene, callback, estimate=False, **settings)
+        result = follow(scene, settings, callback)
         result.rescues["path followed on the finer mesh"] = 1
         _add_work(result, coarse, equilibrium.linear_solves)
         return result, result, _last_increment(result)
     run.open(x, equilibrium.travel)
     run.collapse = path.collapse or scene.collapsed(x, equilibrium.travel)
-    states = [State(0.0, start, 0.0, 0, {n: m(start) for n, m in scene.measures.items()})]
-    states.append(run.state(x, equilibrium.travel))
-    result = run.result(states, "", time.perf_counter() - clock)
+    run.states = [State(0.0, start, 0.0, 0, {n: m(start) for n, m in scene.measures.items()})]
+    run.keep()
+    result = run.result("", time.perf_counter() - clock)
     result.path, result.energy_balance = path, path.energy_balance
+    result.stabilisation, result.snaps = path.stabilisation, path.snaps
     result.increments = path.increments + 1
     _add_work(result, coarse, 0)
     return result, path, _Motion(scene, x - before)

@@ -20,17 +20,21 @@ References
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigsh
 
-from ..energy import Potential
+from ..energy import Potential, Term
 from ..scene import Scene
 from .linear import LinearSolver, SingularMatrixError, linear_solver
 
 FloatArray = np.ndarray
 LEAST_FORCE = 1e-6  # N: what a driving force counts for where a tool has not touched yet
+SLIDING = 60  # convex tangents in one solve, from which on a sheet slides off a saddle
+LEAST_SHARE = 1 / 64  # of the convex tangent, while it does
 LOOSER = 30.0  # tolerance on the way where friction has to settle, relative to that at the end
 
 
@@ -54,8 +58,8 @@ class Equilibrium:
     tolerance : float
         Sum of the nodal force residuals relative to the driving force, at the end of the travel;
         on the way `LOOSER` times that.
-    convex : "on demand" or "always"
-        Which tangent to use.
+    convex : "on demand", "always" or "never"
+        When the convex tangent takes the place of the exact one.
     linear_solves : int
         Factorisations so far.
     solve_s : float
@@ -66,6 +70,8 @@ class Equilibrium:
         Residual that friction may leave to the next increment where it does not settle.
     carried_on : int
         How often it did.
+    convex_taken : int
+        How often it did on demand.
     max_iterations : int
         Newton iterations of one solve.
     """
@@ -79,11 +85,13 @@ class Equilibrium:
     travel: float = 0.0
     carried: float = 2e-2
     carried_on: int = 0
+    convex_taken: int = 0
     max_iterations: int = 400
     potential: Potential = field(init=False)
     solver: LinearSolver = field(init=False)
-    _factored: tuple[FloatArray, bool, int] | None = field(init=False, default=None)
+    _factored: tuple[FloatArray, float, int] | None = field(init=False, default=None)
     _foreseen: FloatArray | None = field(init=False, default=None)
+    _share: float = field(init=False, default=1 / 4)
 
     def __post_init__(self) -> None:
         scene = self.scene
@@ -95,16 +103,28 @@ class Equilibrium:
             self.linear, self.potential.pattern, points[free], rigid_motions(scene)[free]
         )
 
+    @contextmanager
+    def with_term(self, term: Term) -> Iterator[None]:
+        """Add a term of diagonal Hessian to the potential for the time being."""
+        own = self.potential
+        self.potential, self._factored = Potential([*own.terms, term], own.free), None
+        try:
+            yield
+        finally:
+            self.potential, self._factored = own, None
+
     def force(self, g: FloatArray) -> float:
         """Derivative of the potential by the travel, N (of the modelled share)."""
         _, rate = self.scene.prescribed(self.travel)
         return float(np.where(self.scene.fixed, rate, 0.0) @ g)
 
-    def residual(self, g: FloatArray, certified: bool = False) -> float:
+    def residual(
+        self, g: FloatArray, certified: bool = False, driven: FloatArray | None = None
+    ) -> float:
         """Sum of the free nodal forces relative to the driving force, or to the dead load.
 
-        Before the driving force has grown to 2 % of a resting tool's weight it is measured against
-        that, unless `certified`.
+        The driving force is that of g, or of another gradient `driven`. Before it has grown to 2 %
+        of a resting tool's weight the residual is measured against that, unless `certified`.
         """
         scene = self.scene
         r = np.where(scene.fixed, 0.0, g)
@@ -113,7 +133,7 @@ class Equilibrium:
         if scene.dead_load:
             return float(total / scene.dead_load)
         floor = LEAST_FORCE if certified else 0.02 * scene.resting + LEAST_FORCE
-        return float(total / max(abs(self.force(g)), floor))
+        return float(total / max(abs(self.force(g if driven is None else driven)), floor))
 
     def worst(self, g: FloatArray) -> str:
         """Where the residual is largest, in words."""
@@ -125,11 +145,13 @@ class Equilibrium:
     def factor(
         self,
         x: FloatArray,
-        convex: bool,
+        convex: float,
         motion: FloatArray | None = None,
         stress: FloatArray | None = None,
     ) -> tuple[int, FloatArray]:
-        """Factorise the tangent; number of negative pivots, and its product with a motion.
+        """Factorise a tangent; number of negative pivots, and its product with a motion.
+
+        `convex` is the share of the convex tangent in it, the rest that of the exact one.
 
         The factor of an accepted state, made for its certificate, serves the next prediction too.
         A foreseen stress takes the place of that at x.
@@ -139,7 +161,9 @@ class Equilibrium:
         NotConvergedError
             If the tangent is singular.
         """
-        values, load = self.potential.hessian(x, convex, motion, stress)
+        values, load = self.potential.hessian(x, convex == 1, motion, stress)
+        if 0 < convex < 1:
+            values += convex * (self.potential.hessian(x, True)[0] - values)
         known = self._factored if stress is None else None
         if known is None or known[1] != convex or not np.array_equal(known[0], x):
             self._factored = None
@@ -158,14 +182,20 @@ class Equilibrium:
         x: FloatArray,
         motion: FloatArray | None = None,
         stress: FloatArray | None = None,
+        sliding: bool = False,
     ) -> tuple[bool, FloatArray]:
         """Factorise the exact tangent if it is positive definite, else the convex one.
+
+        With `convex` "never", the exact one whatever it is. While a sheet is `sliding` off a saddle
+        the convex tangent is much too stiff: the smallest share of it that does is taken.
 
         Returns
         -------
         exact : bool
         load : (n_free,) array
         """
+        if self.convex == "never":
+            return True, self.factor(x, False, motion, stress)[1]
         if self.convex == "on demand" and self.solver.inertia:
             try:
                 negative, load = self.factor(x, False, motion, stress)
@@ -173,6 +203,16 @@ class Equilibrium:
                     return True, load
             except NotConvergedError:
                 pass
+            self.convex_taken += 1
+            share = self._share
+            while sliding and stress is None and share < 1:
+                with suppress(NotConvergedError):
+                    negative, load = self.factor(x, share, motion)
+                    if negative == 0:
+                        self._share = max(share / 4, LEAST_SHARE)
+                        return False, load
+                share *= 4
+            self._share = 1 / 4
         _, load = self.factor(x, True, motion, stress)
         return False, load
 
@@ -226,7 +266,7 @@ class Equilibrium:
         free = ~self.scene.fixed
         tolerance = tolerance or self.tolerance
         max_iterations = max_iterations or self.max_iterations
-        convex_left = 0
+        convex_left = taken = 0
         stress, self._foreseen = self._foreseen, None
         energies: list[float] = []
         for _ in range(max_iterations):
@@ -234,12 +274,16 @@ class Equilibrium:
             residual = self.residual(g)
             if residual < tolerance:
                 return x
+            sliding = taken > SLIDING
+            if sliding:
+                stress = None
             if convex_left:
                 self.factor(x, True, stress=stress)
                 convex_left -= 1
             else:
-                exact, _ = self.factor_definite(x, stress=stress)
-                convex_left = 0 if exact else 1
+                exact, _ = self.factor_definite(x, stress=stress, sliding=sliding)
+                taken += not exact
+                convex_left = 0 if exact or sliding else 1
             d = np.zeros_like(x)
             d[free] = self._direction(x, g[free])
             if stress is not None:
@@ -247,7 +291,7 @@ class Equilibrium:
             energies = [*energies[-7:], self.potential.energy(x)]
             highest = energies[-1] if stress is None else max(energies)
             before, x = x, self._line_search(x, g, d, residual, highest)
-            stress = self._foresee(before, x)
+            stress = None if sliding else self._foresee(before, x)
         raise NotConvergedError(
             f"no equilibrium in {max_iterations} Newton iterations: residual {residual:.1e} of the "
             f"driving force against {tolerance:.0e}, largest {self.worst(g)}",
@@ -260,6 +304,8 @@ class Equilibrium:
     ) -> FloatArray:
         """Armijo's rule by halving, with a floor of round-off, a longest step, the flip guard."""
         slope = float(g @ d)
+        if self.convex == "never" and slope > 0:  # the tangent is not positive definite there
+            d, slope = -d, -slope
         if not np.isfinite(slope) or slope >= 0:
             raise NotConvergedError("Newton's direction is no descent direction", x, residual)
         floor = 1e-12 * (abs(highest) + self.scene.resting + 1e-6)
@@ -331,10 +377,11 @@ class Equilibrium:
             f"friction does not settle in {passes} passes: residual {residual:.1e}", x, residual
         )
 
-    def downhill(self, x: FloatArray) -> FloatArray:
+    def downhill(self, x: FloatArray, stride: float = 1e-3) -> FloatArray:
         """Leave a saddle along the weakest unstable mode of the last factorised exact tangent.
 
-        The mode is followed, on the side on which the energy falls, as far as it goes on falling.
+        The mode is followed, on the side of lower energy, by a stride in units of the size of the
+        mesh, and on as far as the energy falls.
         """
         n = self.potential.pattern.shape[0]
         inverse = LinearOperator((n, n), matvec=self.solver.solve, dtype=float)
@@ -346,7 +393,7 @@ class Equilibrium:
             raise NotConvergedError("no unstable mode found at a saddle", x, np.inf) from error
         d = np.zeros_like(x)
         d[~self.scene.fixed] = modes[:, 0]
-        d *= 1e-3 * self.scene.blank.size / np.abs(self.scene.positions(d)).max()
+        d *= stride * self.scene.blank.size / np.abs(self.scene.positions(d)).max()
         if self._energy_at(x, x - d) < self._energy_at(x, x + d):
             d = -d
         best = self.potential.energy(x)

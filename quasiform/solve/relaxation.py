@@ -27,7 +27,7 @@ def relax(
     tolerance: float | None = None,
     max_iterations: int = 100_000,
     refresh_every: int = 200,
-) -> FloatArray:
+) -> tuple[FloatArray, float]:
     """Relax a state to equilibrium after a motion of the prescribed degrees of freedom.
 
     Parameters
@@ -46,6 +46,8 @@ def relax(
     Returns
     -------
     x : (n_dofs,) array
+    damped : float
+        Kinetic energy taken out, mJ.
 
     Raises
     ------
@@ -55,7 +57,7 @@ def relax(
     tolerance = tolerance or equilibrium.tolerance
     free = ~scene.fixed
     v = np.zeros_like(x)
-    kinetic_before = 0.0
+    kinetic_before = damped = 0.0
     ramp = RAMP if motion.any() else 0
     for iteration in range(max_iterations):
         if iteration < ramp:
@@ -69,13 +71,14 @@ def relax(
         # a residual counts with refreshed friction only
         settled = not scene.remembering or iteration % refresh_every == 0
         if residual < tolerance and settled and iteration >= ramp:
-            return x
+            return x, damped
         a = np.where(free, -g / mass, 0.0)
         v_next = v + a if v.any() else 0.5 * a
         kinetic = float((mass * v_next**2)[free].sum())
         if kinetic < kinetic_before:
             x = x - 0.5 * v  # back to about the peak
             v = np.zeros_like(v)
+            damped += 0.5 * kinetic_before
             kinetic_before = 0.0
             continue
         v, kinetic_before = v_next, kinetic

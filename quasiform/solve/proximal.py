@@ -1,0 +1,94 @@
+"""Proximal steps: the creep of a damped sheet, from a state that Newton's method cannot leave.
+
+Each step minimises
+
+    E(x) + m/2 Σ w |x - a|²,    a the state before the step, w the area of a node
+
+an implicit Euler step of a sheet on a viscous bed. m falls as steps succeed and rises as they fail,
+and the steps end when the forces of the bed are below a tolerance. The state is then solved once
+more without it, so that neither its energy nor its stiffness stays in a result.
+
+Reference: R. T. Rockafellar (1976) "Monotone operators and the proximal point algorithm", SIAM J.
+Control Optim. 14, 877-898.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .newton import Equilibrium, NotConvergedError
+
+FloatArray = np.ndarray
+FIRST, LEAST, MOST = 1e-2, 1e-6, 10.0  # m, N/mm³; the stick of friction is 0.1
+STEPS = 60
+ITERATIONS = 40  # of Newton's method in one step
+ENOUGH = 1e-2  # forces of the bed, relative to the driving force
+
+
+class Bed:
+    """The quadratic term m/2 Σ w (x - anchor)² over all degrees of freedom.
+
+    Parameters
+    ----------
+    weights : (n_dofs,) array
+        w, mm².
+    """
+
+    def __init__(self, weights: FloatArray) -> None:
+        self.name = "proximal bed"
+        self.dofs = np.arange(len(weights))[:, None]
+        self.weights, self.m, self.anchor = weights, 0.0, np.zeros_like(weights)
+
+    def energy(self, x: FloatArray) -> FloatArray:
+        """Energy of each degree of freedom, mJ."""
+        return 0.5 * self.m * self.weights * (x - self.anchor) ** 2
+
+    def gradient(self, x: FloatArray) -> FloatArray:
+        """(n_dofs, 1) forces, N."""
+        return (self.m * self.weights * (x - self.anchor))[:, None]
+
+    def hessian(self, x: FloatArray, convex: bool) -> FloatArray:
+        """(n_dofs, 1, 1) stiffness, N/mm."""
+        return (self.m * self.weights)[:, None, None]
+
+
+def creep(equilibrium: Equilibrium, x: FloatArray) -> tuple[FloatArray, float]:
+    """Creep from x to near an equilibrium at the present travel.
+
+    Returns
+    -------
+    x : (n_dofs,) array, mm
+    work : float
+        What the bed has taken up, mJ.
+
+    Raises
+    ------
+    NotConvergedError
+        Where the bed does not fade within `STEPS` steps, or no m is large enough.
+    """
+    scene = equilibrium.scene
+    weights = np.full(len(x), scene.blank.areas.sum())
+    weights[: scene.n_nodal] = np.repeat(scene.blank.node_areas, scene.dim)
+    bed = Bed(weights)
+    bed.m, work, force = FIRST, 0.0, np.inf
+    with equilibrium.with_term(bed):
+        for _ in range(STEPS):
+            bed.anchor = x
+            try:
+                x = equilibrium.minimise(x, ITERATIONS, ENOUGH)
+            except NotConvergedError:
+                if bed.m >= MOST:
+                    raise
+                bed.m *= 10.0
+                continue
+            push = bed.gradient(x)[:, 0]
+            work += float(push @ (x - bed.anchor))
+            force = equilibrium.residual(push, driven=equilibrium.potential.gradient(x))
+            for term in scene.remembering:
+                term.refresh(x)
+            if force < ENOUGH and bed.m <= 1e-2 * FIRST:
+                return x, work
+            bed.m = max(bed.m / 3.0, LEAST)
+    raise NotConvergedError(
+        f"proximal steps: forces of {force:.1e} of the driving force left after {STEPS}", x, force
+    )

@@ -1,0 +1,73 @@
+"""What is robust about a state: the same scene solved again with noise on every increment.
+
+A sheet that wrinkles, bands or snaps has many states of equilibrium, and which one is found hangs
+on what no model knows. Quantities that scatter within the estimated error of the mesh are robust;
+the others are one sample.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ..checks import check_number
+from ..result import Result
+from .increments import Settings, follow
+
+AMPLITUDE = 0.01  # mm
+
+
+def spread(
+    result: Result, seeds: Sequence[int] = (1, 2, 3), amplitude: float = AMPLITUDE
+) -> dict[str, dict[str, float | bool]]:
+    """Solve a scene again from perturbed starts, and keep the scatter in the result.
+
+    Where only the end was solved on the finest mesh, the path on the coarser one is repeated.
+
+    Parameters
+    ----------
+    result : Result
+        Its `spread` is set.
+    seeds : sequence of int
+        One more run each.
+    amplitude : float
+        Standard deviation of the noise on the nodes, mm.
+
+    Returns
+    -------
+    dict by quantity
+        `low` and `high` over all runs, the unperturbed one too; `stopped`, how many did not reach
+        the end and are left out; and `robust`: whether half the range is within the estimated error
+        (within 1 % where there is none).
+
+    Raises
+    ------
+    InputError
+        For a bad amplitude.
+    """
+    check_number("amplitude", amplitude)
+    base = result.path or result
+    known = {"increment", "method", "linear", "tolerance", "convex"}
+    given = {name: value for name, value in base.settings.items() if name in known}
+    runs = [base] + [
+        follow(base.scene, Settings(**given, perturbation=amplitude, seed=seed)) for seed in seeds
+    ]
+    ended = [run for run in runs if run.states[-1].travel == base.states[-1].travel]
+    found = [run.quantities | _numbers(run.wrinkles) for run in ended]
+    table = {}
+    for name in found[0]:
+        values = [quantities[name] for quantities in found if name in quantities]
+        low, high = min(values), max(values)
+        error = result.estimate.get(name)
+        allowed = 0.01 * max(abs(low), abs(high)) if error is None else error
+        table[name] = {
+            "low": low,
+            "high": high,
+            "robust": bool(len(values) == len(found) and 0.5 * (high - low) <= allowed),
+            "stopped": len(runs) - len(ended),
+        }
+    result.spread = table
+    return table
+
+
+def _numbers(table: dict[str, float | None]) -> dict[str, float]:
+    return {name: value for name, value in table.items() if value is not None}

@@ -1,0 +1,219 @@
+"""Killed runs leave readable files and carry on to the same end."""
+
+import csv
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+import meshio
+import numpy as np
+import pytest
+
+import quasiform as qf
+from quasiform.cli import main
+from quasiform.solve import Journal
+
+
+def forming(size=12.0, travel=20.0):
+    return qf.forming("hemisphere", orientation=0, size=size, travel=travel)
+
+
+class KilledError(BaseException):
+    """What no handler of the program catches, as SIGKILL."""
+
+
+def killed_after(n):
+    """Return a callback that ends a run after n increments."""
+    left = [n]
+
+    def count(_):
+        left[0] -= 1
+        if not left[0]:
+            raise KilledError
+
+    return count
+
+
+def readable(folder):
+    """Read every file of a folder; return its summary."""
+    summary = json.loads((folder / "summary.json").read_text())
+    rows = list(csv.reader((folder / "history.csv").read_text().splitlines()))
+    assert all(len(row) == len(rows[0]) for row in rows)
+    for path in folder.glob("*.vtu"):
+        assert np.isfinite(meshio.read(path).points).all()
+    named = (folder / "result.pvd").read_text()
+    assert all((folder / part.split('"')[0]).is_file() for part in named.split('file="')[1:])
+    return summary
+
+
+@pytest.mark.parametrize("kills", [[1], [4], [3, 2]])
+def test_a_killed_run_is_carried_on_to_the_same_end(tmp_path, kills):
+    straight = qf.solve(forming(), estimate=False)
+    for i, n in enumerate(kills):
+        with pytest.raises(KilledError):
+            qf.solve(forming(), killed_after(n), estimate=False, out=tmp_path, resume=i > 0)
+        summary = readable(tmp_path)
+        assert summary["status"] == "stopped"
+        assert "carries on" in summary["reason"]
+    result = qf.solve(forming(), estimate=False, out=tmp_path, resume=True)
+    assert readable(tmp_path)["status"] == "completed"
+    np.testing.assert_allclose(result.states[-1].x, straight.states[-1].x, atol=1e-6)
+    assert result.force == pytest.approx(straight.force, rel=1e-6)
+    assert result.energy_balance == pytest.approx(straight.energy_balance, rel=1e-6)
+    assert result.increments == straight.increments
+    for name, column in straight.history.items():
+        if name != "linear_solves":  # the tangent of the last state is factorised again
+            np.testing.assert_allclose(result.history[name], column, rtol=1e-6, atol=1e-9)
+    assert not (tmp_path / "resume.npz").exists()
+
+
+def test_memory_of_friction_is_part_of_the_record(tmp_path, monkeypatch):
+    """Without it the end is another one, so that the test above can fail."""
+    straight = qf.solve(forming(), estimate=False)
+    with pytest.raises(KilledError):
+        qf.solve(forming(), killed_after(6), estimate=False, out=tmp_path)
+    monkeypatch.setattr("quasiform.energy.friction.Friction.recall", lambda self, memory: None)
+    with pytest.raises(qf.InputError, match="another input"):
+        qf.solve(forming(), estimate=False, out=tmp_path, resume=True)
+    assert straight.force > 1
+
+
+def test_the_path_of_a_refined_run_is_carried_on(tmp_path):
+    scene = qf.forming("hemisphere", size=10, travel=20)
+    scene.coarsest = 20.0
+    with pytest.raises(KilledError):
+        qf.refine(scene, killed_after(5), out=tmp_path)
+    assert "on a mesh of 20 mm, the way to one of 10 mm" in readable(tmp_path)["reason"]
+    result = qf.refine(scene, out=tmp_path, resume=True)
+    assert result.path.scene.size == 20
+    straight = qf.refine(scene)
+    np.testing.assert_allclose(result.states[-1].x, straight.states[-1].x, atol=1e-6)
+    assert readable(tmp_path)["status"] == "completed"
+
+
+@pytest.mark.parametrize("delay", [0.05, 0.4, 1.0])
+def test_sigkill_leaves_readable_files_and_resume_carries_on(tmp_path, delay):
+    out = tmp_path / "out"
+    command = ["oat", "--size", "20", "--displacement", "20", "--increment", "0.25"]
+    child = subprocess.Popen(
+        [sys.executable, "-m", "quasiform", *command, "--out", str(out)],
+        cwd=tmp_path,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    until = time.monotonic() + 60
+    while not (out / "summary.json").exists():
+        assert time.monotonic() < until
+        assert child.poll() is None
+        time.sleep(0.01)
+    time.sleep(delay)
+    child.send_signal(signal.SIGKILL)
+    child.wait()
+    summary = readable(out)
+    if summary["status"] == "stopped":  # else it was quicker
+        assert main(["resume", str(out)]) == 0
+    straight = qf.solve(qf.off_axis_tension(size=20, displacement=20), increment=0.25)
+    summary = readable(out)
+    assert summary["status"] == "completed"
+    assert summary["force_N"] == pytest.approx(straight.force, rel=1e-6)
+    assert summary["estimated_errors"]["force_N"] == pytest.approx(
+        straight.estimate["force_N"], rel=1e-6
+    )
+    leftovers = [path.name for path in out.glob(".new-*")]
+    assert len(leftovers) <= 1
+
+
+def test_a_run_from_a_file_is_carried_on_from_any_directory(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(qf.scene_file.FOLDER / "hemisphere.toml", "part.toml")
+    monkeypatch.setattr("quasiform.cli.LiveProgress.__call__", lambda *_: killed_after(1)(None))
+    with pytest.raises(KilledError):
+        main(["form", "part.toml", "--size", "12", "--travel", "10", "--out", "out"])
+    monkeypatch.undo()
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    monkeypatch.chdir(elsewhere)
+    assert main(["resume", "../out"]) == 0
+    assert "completed at 10 of 10 mm" in capsys.readouterr().out
+    assert readable(tmp_path / "out")["status"] == "completed"
+
+
+@pytest.mark.parametrize("change", [{"size": 11.0}, {"law": "best-fit"}, {"orientation": 90}])
+def test_another_input_is_refused(tmp_path, capsys, change):
+    given = {"orientation": 0, "size": 12, "travel": 20, "symmetry": "none"}
+    with pytest.raises(KilledError):
+        qf.solve(qf.forming("hemisphere", **given), killed_after(3), estimate=False, out=tmp_path)
+    scene = qf.forming("hemisphere", **(given | change))
+    with pytest.raises(qf.InputError, match="another input"):
+        qf.solve(scene, estimate=False, out=tmp_path, resume=True)
+    assert main(["resume", str(tmp_path)]) == 2
+    assert "not started by a command" in capsys.readouterr().err
+
+
+def test_what_is_no_record_is_refused_in_one_line(tmp_path, capsys):
+    assert main(["resume", str(tmp_path)]) == 2
+    assert "holds no run that can be carried on" in capsys.readouterr().err
+    for content in (b"", b"nonsense", b"PK\x03\x04"):
+        (tmp_path / "resume.npz").write_bytes(content)
+        assert main(["resume", str(tmp_path)]) == 2
+        assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_a_record_from_a_stranger_runs_no_code(tmp_path):
+    class Evil:
+        def __reduce__(self):
+            return os.mkdir, (str(tmp_path / "pwned"),)
+
+    np.savez(tmp_path / "resume.npz", head=np.array([Evil()], dtype=object))
+    with pytest.raises(qf.InputError, match="not a record of a run"):
+        Journal(tmp_path, resume=True)
+    assert not (tmp_path / "pwned").exists()
+
+
+def test_a_folder_that_goes_away_stops_the_run_with_the_reason(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    calls = []
+
+    def remove(*_):
+        calls.append(1)
+        if len(calls) == 2:
+            shutil.rmtree("out")
+
+    monkeypatch.setattr("quasiform.cli.LiveProgress.__call__", remove)
+    assert main(["oat", "--size", "40", "--displacement", "20", "--out", "out"]) == 3
+    assert "cannot write to out: No such file or directory" in capsys.readouterr().out
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_full_disk_loses_nothing_earlier(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    real, calls = qf.Result.write, []
+
+    def full(self, folder, since=0):
+        calls.append(1)
+        if len(calls) >= 3:
+            raise OSError(28, "No space left on device")
+        real(self, folder, since)
+
+    monkeypatch.setattr(qf.Result, "write", full)
+    assert main(["oat", "--size", "40", "--displacement", "20", "--out", "out"]) == 3
+    assert "cannot write to out: No space left on device" in capsys.readouterr().out
+    summary = readable(tmp_path / "out")
+    assert summary["reached_mm"] == 5
+    monkeypatch.undo()
+    assert main(["resume", str(tmp_path / "out")]) == 0
+    assert readable(tmp_path / "out")["reached_mm"] == 20
+
+
+def test_a_new_run_leaves_the_old_result_until_it_has_one_of_its_own(tmp_path):
+    qf.solve(qf.off_axis_tension(size=40, displacement=5), estimate=False, out=tmp_path)
+    with pytest.raises(qf.InputError, match="holds a result already"):
+        qf.solve(qf.off_axis_tension(size=40, displacement=5), out=tmp_path)
+    journal = Journal(tmp_path, force=True)
+    assert readable(tmp_path)["status"] == "completed"
+    qf.solve(qf.off_axis_tension(size=40, displacement=10), estimate=False, out=journal)
+    assert readable(tmp_path)["reached_mm"] == 10

@@ -1,0 +1,198 @@
+"""Saddles, snaps, rescues, perturbed starts; the same input gives the same result."""
+
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import quasiform as qf
+from quasiform.measure import waves
+from quasiform.solve import increments
+from quasiform.solve.newton import Equilibrium, NotConvergedError
+from quasiform.solve.proximal import Bed, creep
+from validation.stability.scenes import arch
+
+
+def hemisphere(size=20.0, travel=30.0):
+    return qf.forming("hemisphere", orientation=0, size=size, travel=travel)
+
+
+@pytest.mark.parametrize("convex", ["on demand", "never"])
+def test_a_snap_through_ends_on_the_lower_branch(convex):
+    result = qf.solve(arch(10.0, qf.Fabric.preset("locking")), convex=convex, estimate=False)
+    assert result.status == "completed"
+    assert result.negative_pivots == 0
+    assert result.positions()[:, 2].min() < -5
+    assert result.positions(0)[:, 2].max() > 5
+
+
+def test_a_saddle_is_left_on_both_sides_alike():
+    """A strip that is pressed along its fibres stays exactly flat until it is told to look."""
+    from validation.stability.scenes import flat_strip
+
+    scene = flat_strip(10.0, qf.Fabric.preset("locking"))
+    result = qf.solve(scene, estimate=False)
+    assert result.rescues["saddle left"] >= 1
+    assert np.abs(result.positions()[:, 2]).max() > 1
+    assert "left on the way" in result.one_of_many
+    assert result.summary()["one_of_many"] == result.one_of_many
+
+
+def test_each_tangent_ends_alike():
+    forces = [
+        qf.solve(hemisphere(), convex=convex, estimate=False).force
+        for convex in ("on demand", "always", "never")
+    ]
+    np.testing.assert_allclose(forces, forces[0], rtol=1e-3)
+
+
+@pytest.mark.parametrize("setting", [{"convex": "sometimes"}, {"perturbation": -1}, {"seed": -1}])
+def test_bad_settings_are_refused(setting):
+    with pytest.raises(qf.InputError, match=next(iter(setting))):
+        qf.solve(hemisphere(), **setting)
+
+
+def test_a_perturbed_start_ends_where_the_plain_one_does_but_not_on_its_path():
+    plain = qf.solve(hemisphere(), estimate=False)
+    runs = [qf.solve(hemisphere(), estimate=False, perturbation=0.01, seed=s) for s in (1, 1, 2)]
+    x = [run.states[-1].x for run in runs]
+    np.testing.assert_array_equal(x[0], x[1])
+    assert np.abs(x[0] - x[2]).max() > 1e-12
+    for run in runs:
+        assert run.force == pytest.approx(plain.force, rel=2e-3)
+        assert run.certified is True
+
+
+def test_spread_tells_what_is_robust():
+    result = qf.solve(hemisphere(size=10.0), estimate=False)
+    table = qf.spread(result, seeds=(1, 2))
+    assert table["shear_angle_mean_deg"]["robust"]
+    assert table["shear_angle_mean_deg"]["low"] <= result.quantities["shear_angle_mean_deg"]
+    assert result.one_of_many == ""
+    result.spread["force_N"] = {"low": 1.0, "high": 9.0, "robust": False, "stopped": 0}
+    assert result.one_of_many == "perturbed starts scatter in force_N"
+    with pytest.raises(qf.InputError, match="amplitude"):
+        qf.spread(result, amplitude=0)
+
+
+def test_the_bed_is_a_quadratic_term():
+    bed = Bed(np.array([2.0, 4.0]))
+    bed.m, bed.anchor = 0.5, np.array([1.0, 1.0])
+    x, h = np.array([1.5, 0.5]), 1e-6
+    for i, step in enumerate(np.eye(2) * h):
+        slope = (bed.energy(x + step).sum() - bed.energy(x - step).sum()) / (2 * h)
+        assert bed.gradient(x)[i, 0] == pytest.approx(slope, rel=1e-6)
+        bend = (bed.gradient(x + step) - bed.gradient(x - step))[i, 0] / (2 * h)
+        assert bed.hessian(x, False)[i, 0, 0] == pytest.approx(bend, rel=1e-6)
+
+
+def test_creeping_comes_near_the_equilibrium_and_leaves_nothing_behind():
+    scene = hemisphere(travel=10.0)
+    run = increments.Run(Equilibrium(scene), increments.Settings())
+    run.open(run.start())
+    equilibrium = run.equilibrium
+    terms = list(equilibrium.potential.terms)
+    x = equilibrium.predict(run.x, 5.0)
+    assert equilibrium.residual(equilibrium.potential.gradient(x)) > 1
+    near, work = creep(equilibrium, x)
+    assert work > 0
+    assert equilibrium.residual(equilibrium.potential.gradient(near)) < 0.1
+    assert equilibrium.potential.terms == terms
+
+
+def test_rungs_are_climbed_in_order_and_change_nothing_in_the_end(monkeypatch):
+    plain = qf.solve(hemisphere(), estimate=False)
+    real, climbed = increments.Run._climb, []
+
+    def first_fails(self, target, rungs):
+        """Newton's method fails once at each increment until a rung is there."""
+        if 10 <= self.travel < 15 and not climbed:
+            predict = self.equilibrium.predict
+
+            def fails(x, travel):
+                self.equilibrium.predict = predict
+                raise NotConvergedError("made to fail", x, 1.0)
+
+            self.equilibrium.predict = fails
+            if rungs:
+                climbed.append([rung.__name__ for rung in rungs])
+        return real(self, target, rungs)
+
+    monkeypatch.setattr(increments.Run, "_climb", first_fails)
+    rescued = qf.solve(hemisphere(), estimate=False)
+    assert climbed == [["proximal"]]
+    assert rescued.rescues["proximal"] == 1
+    assert rescued.rescues["shorter step"] >= 1
+    assert rescued.stabilisation > 0
+    assert rescued.summary()["stabilisation_work_relative"] == rescued.stabilisation
+    assert rescued.force == pytest.approx(plain.force, rel=2e-3)
+    assert rescued.certified is True
+
+
+def test_where_every_rung_fails_the_run_stops_and_says_where(monkeypatch):
+    def fails(self, x):
+        if self.equilibrium.travel > 12:
+            raise NotConvergedError("made to fail", x, 1.0)
+        return self.equilibrium.settle(x)
+
+    monkeypatch.setattr(increments.Run, "_solve", fails)
+    result = qf.solve(hemisphere(), estimate=False)
+    assert result.status == "stopped"
+    assert 11 < result.states[-1].travel <= 12
+    assert result.reason.startswith("at 1")
+    assert "made to fail" in result.reason
+    assert result.rescues["dynamic relaxation"] >= 1
+    assert result.rescues["proximal"] > result.rescues["dynamic relaxation"]
+    assert result.stabilisation == 0
+
+
+def test_waves_are_counted_and_measured():
+    s, t = np.meshgrid(np.arange(0.0, 200.5), np.arange(0.0, 50.0, 5.0))
+    flat = np.column_stack([s.ravel(), t.ravel()])
+    wavy = np.where(flat[:, 1] < 20, np.sin(2 * np.pi * flat[:, 0] / 40.0 + 0.1), 0.0)
+    lines, wavelength = waves(flat, np.array([1.0, 0.0]), wavy)
+    assert lines == 4
+    assert wavelength == pytest.approx(40.0, abs=1.0)
+    bent = np.where(np.abs(flat[:, 0] - 100) < 50, 1.0, -1.0)  # twice turned, as by a tool
+    assert waves(flat, np.array([1.0, 0.0]), bent) == (0, None)
+    assert waves(flat, np.array([1.0, 0.0]), np.full(len(flat), np.nan)) == (0, None)
+
+
+RUN = """
+import sys, json, hashlib
+import quasiform as qf
+linear = sys.argv[1]
+result = qf.solve(qf.forming("hemisphere", orientation=45, size=20, travel=40), estimate=False,
+                  linear=linear)
+x = result.states[-1].x
+print(json.dumps({"bits": hashlib.sha256(x.tobytes()).hexdigest(), "x": x.tolist(),
+                  "force": result.force, "mean": result.quantities["shear_angle_mean_deg"]}))
+"""
+
+
+def run(linear, threads):
+    names = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
+    environment = os.environ | dict.fromkeys(names, str(threads))
+    done = subprocess.run(
+        [sys.executable, "-c", RUN, linear],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return json.loads(done.stdout)
+
+
+def test_the_same_input_gives_the_same_bits_on_one_thread():
+    assert run("auto", 1)["bits"] == run("auto", 1)["bits"]
+
+
+def test_threads_and_linear_solvers_agree():
+    one = run("auto", 1)
+    for other in (run("auto", 2), run("superlu", 1), run("superlu", 2)):
+        np.testing.assert_allclose(other["x"], one["x"], rtol=1e-6, atol=1e-6)
+        assert other["force"] == pytest.approx(one["force"], rel=1e-6)
+        assert other["mean"] == pytest.approx(one["mean"], rel=1e-6)
