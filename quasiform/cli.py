@@ -1,6 +1,7 @@
 """The command line: arguments to a scene, a scene to a result, a result to its folder.
 
-Exit status: 0 the goal was reached; 2 wrong input, with one line; 3 the run ended early.
+Exit status: 0 the goal was reached; 1 `compare` found a band missed; 2 wrong input, with one line;
+3 the run ended early.
 """
 
 from __future__ import annotations
@@ -10,15 +11,19 @@ import os
 import re
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import suppress
+from contextlib import chdir, suppress
 from itertools import count
 from math import isfinite
 from pathlib import Path
+from types import ModuleType
 from typing import Any, NoReturn
 
 import numpy as np
 
 from .checks import InputError, check_number, suggestion
+from .compare import FILES as COMPARISON_FILES
+from .compare import compare
+from .compare.comparison import ALIGN, STANDINGS
 from .experiments import off_axis_tension
 from .files import FILES, INCREMENTS, check_folder
 from .forming import forming
@@ -31,8 +36,28 @@ from .progress import LiveProgress
 from .result import Result, package_version
 from .scene import Scene
 from .scene_file import built_in
-from .solve import refine, solve
+from .solve import Journal, refine, solve, spread
 from .solve.linear import NAMES as LINEAR_SOLVERS
+
+# What a scene is made from, of the arguments of its command; kept for `resume`
+SCENES: dict[str, Callable[[argparse.Namespace], Scene]] = {
+    "oat": lambda given: off_axis_tension(
+        given.angle, given.law, given.length, given.width, given.displacement, given.size
+    ),
+    "form": lambda given: forming(
+        given.scene, given.orientation, given.law, given.size, given.travel, given.symmetry
+    ),
+}
+RECIPE = (
+    *("command", "directory", "angle", "law", "length", "width", "displacement", "size"),
+    *("scene", "orientation", "travel", "symmetry", "accuracy", "increment", "linear", "seeds"),
+)
+
+COMPARED_BY = (
+    *("field", "angle", "radians", "signed", "orientation", "values", "coordinates", "scale"),
+    *("history", "force_factor", "travel", "reference_travel", "by", "within", "align", "mirror"),
+    *("standing", "band_angle", "band_outline", "band_force"),
+)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -55,25 +80,52 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _solve(arguments: argparse.Namespace) -> int:
-    scene = arguments.scene_of(arguments)
+    scene = SCENES[arguments.command](arguments)
     if arguments.dry_run:
         _say(_describe(scene))
         return 0
-    folder = check_folder(arguments.out or _unused(_case(scene.name)), force=arguments.force)
+    recipe = {name: value for name, value in vars(arguments).items() if name in RECIPE}
+    recipe["directory"] = str(Path.cwd())
+    folder = arguments.out or _unused(_case(scene.name))
+    journal = Journal(folder, recipe, force=arguments.force)
+    return _record(scene, arguments, journal)
+
+
+def _resume(arguments: argparse.Namespace) -> int:
+    journal = Journal(arguments.folder, resume=True)
+    recipe = journal.recipe or {}
+    if recipe.get("command") not in SCENES or not set(recipe) <= set(RECIPE):
+        raise InputError(
+            f"{arguments.folder}: the run there was not started by a command; carry it on with "
+            "solve(scene, out=..., resume=True)"
+        )
+    given = argparse.Namespace(**recipe)
+    try:
+        with chdir(given.directory):
+            scene = SCENES[given.command](given)
+    except OSError as error:
+        raise InputError(f"{given.directory}: {error.strerror}") from error
+    return _record(scene, given, journal)
+
+
+def _record(scene: Scene, arguments: argparse.Namespace, journal: Journal) -> int:
+    """Solve a scene and leave its files in the journal's folder."""
+    folder = journal.folder
     _say(f"writing to {folder}")
     _say(_describe(scene))
+    increment, linear = arguments.increment, arguments.linear
     with LiveProgress(scene.travel) as callback:
         if getattr(arguments, "size", None) is None:
-            result = refine(
-                scene, callback, arguments.accuracy, arguments.increment, arguments.linear
-            )
+            result = refine(scene, callback, arguments.accuracy, increment, linear, out=journal)
         else:
-            result = solve(scene, callback, arguments.increment, linear=arguments.linear)
-    result.save(folder, force=arguments.force)
+            result = solve(scene, callback, increment, linear=linear, out=journal)
+    if result.status == "completed" and getattr(arguments, "seeds", None):
+        spread(result, range(1, arguments.seeds + 1))
+        journal.close(result)
     _say(_report(result))
     written = [name for name in FILES if (folder / name).exists()]
     if scene.outputs["increments"]:
-        written.append(f"{len(result.rows)} {INCREMENTS}")
+        written.append(f"{len(list(folder.glob(INCREMENTS)))} {INCREMENTS}")
     _say(f"files in {folder}: {', '.join(written)}")
     return 0 if result.status == "completed" else 3
 
@@ -98,6 +150,42 @@ def _identify(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _compare(arguments: argparse.Namespace) -> int:
+    result, reference = arguments.result, arguments.reference
+    folder = arguments.out or _unused(_case(f"{result.name}-beside-{reference.stem}"))
+    check_folder(folder, force=arguments.force, names=COMPARISON_FILES)
+    given = {name: getattr(arguments, name) for name in COMPARED_BY}
+    given = {name: value for name, value in given.items() if value is not None}
+    if arguments.area:
+        given["areas"] = dict(arguments.area)
+    comparison = compare(result, reference, **given)
+    _say(f"writing to {folder}")
+    comparison.save(folder, force=arguments.force)
+    _say("\n".join([comparison.table(), *(f"  {note}" for note in comparison.notes)]))
+    written = [name for name in COMPARISON_FILES if (folder / name).exists()]
+    _say(f"files in {folder}: {', '.join(written)}")
+    return 0 if comparison.held else 1
+
+
+def _validate(arguments: argparse.Namespace) -> int:
+    return _suite().validate(
+        arguments.cases, quick=arguments.quick, out=arguments.out, force=arguments.force
+    )
+
+
+def _suite() -> ModuleType:
+    """The command of the validation suite, which lies beside the package or in its wheel."""
+    folder = Path(__file__).parent / "suite"
+    if not folder.is_dir():  # a clone
+        folder = Path(__file__).parent.parent
+    if not (folder / "validation" / "run.py").is_file():
+        raise InputError("the validation suite is not installed with this package")
+    sys.path.insert(0, str(folder))
+    from validation import run
+
+    return run
+
+
 # Arguments
 
 
@@ -113,7 +201,7 @@ def _arguments(argv: Sequence[str]) -> argparse.Namespace:
         prog="quasiform",
         description="Implicit, quasi-static forming of dry 0°/90° biaxial non-crimp fabrics.",
         epilog="Lengths in mm, forces in N, angles in degrees. "
-        "Exit status: 0 completed, 2 wrong input, 3 ended early.",
+        "Exit status: 0 completed, 1 a band missed, 2 wrong input, 3 ended early.",
         allow_abbrev=False,
     )
     parser.add_argument("--version", action="version", version=f"quasiform {package_version()}")
@@ -121,6 +209,9 @@ def _arguments(argv: Sequence[str]) -> argparse.Namespace:
     _add_oat(commands)
     _add_form(commands)
     _add_identify(commands)
+    _add_validate(commands)
+    _add_compare(commands)
+    _add_resume(commands)
     # the options before a command take no value, so the first word without a dash is the command
     command = next((word for word in argv if not word.startswith("-")), None)
     if command is not None and command not in commands.choices:
@@ -151,11 +242,6 @@ def _add_oat(commands: Any) -> None:
     _add_number(parser, "--displacement", 80.0, "MM", "displacement of the grip at the end")
     _add_number(parser, "--size", 10.0, "MM", "cell edge along the specimen's axes at 45°")
     _add_common(parser)
-    parser.set_defaults(
-        scene_of=lambda given: off_axis_tension(
-            given.angle, given.law, given.length, given.width, given.displacement, given.size
-        )
-    )
 
 
 def _add_form(commands: Any) -> None:
@@ -194,12 +280,13 @@ def _add_form(commands: Any) -> None:
         help="model a half or a quarter where everything is mirrored, or always the whole "
         "(the scene's, or auto)",
     )
-    _add_common(parser)
-    parser.set_defaults(
-        scene_of=lambda given: forming(
-            given.scene, given.orientation, given.law, given.size, given.travel, given.symmetry
-        )
+    parser.add_argument(
+        "--seeds",
+        type=_count,
+        metavar="N",
+        help="solve the path N times more with noise on the nodes, to see what is robust",
     )
+    _add_common(parser)
 
 
 def _add_identify(commands: Any) -> None:
@@ -246,6 +333,118 @@ def _add_identify(commands: Any) -> None:
         "--dry-run", action="store_true", help="read the tests, tell what is in them; write nothing"
     )
     parser.set_defaults(run=_identify)
+
+
+def _add_resume(commands: Any) -> None:
+    parser = commands.add_parser(
+        "resume",
+        help="carry on a run that was killed or stopped",
+        description="Carry on a run of `oat` or `form` from the last increment in its folder.",
+        allow_abbrev=False,
+    )
+    parser.add_argument("folder", type=_path, metavar="DIR", help="folder of the run")
+    parser.set_defaults(run=_resume)
+
+
+def _add_compare(commands: Any) -> None:
+    parser = commands.add_parser(
+        "compare",
+        help="two results, or a result and another code's or a measured field",
+        description="Differences of a result from a reference at equal travel: shear angle, "
+        "outline, force, area means. Exit status 1 if a band is missed.",
+        allow_abbrev=False,
+    )
+    parser.add_argument("result", type=_path, metavar="RESULT", help="folder of a result")
+    parser.add_argument(
+        "reference",
+        type=_path,
+        metavar="REFERENCE",
+        help="another result; a .vtu, .vtk, .xdmf or .inp mesh; a CSV of points and angles, or of "
+        "a contour",
+    )
+    parser.add_argument("--field", metavar="NAME", help="field or column of the angle, or none")
+    parser.add_argument(
+        "--angle",
+        type=_one_of("shear", "between"),
+        metavar="shear|between",
+        help="what it is: the shear angle, or the angle between the fibres (shear)",
+    )
+    parser.add_argument("--radians", action="store_true", help="it is in radians")
+    parser.add_argument("--signed", action="store_true", help="its sign counts")
+    parser.add_argument(
+        "--orientation",
+        type=_degrees,
+        metavar="DEG",
+        help="of the reference's warp to x, where only its displacements are known (0)",
+    )
+    parser.add_argument(
+        "--values", type=_path, metavar="FILE", help="CSV by node or element label for an .inp"
+    )
+    parser.add_argument(
+        "--coordinates",
+        type=_one_of("formed", "flat"),
+        metavar="formed|flat",
+        help="what the coordinates of the reference are",
+    )
+    parser.add_argument(
+        "--history", type=_path, metavar="FILE", help="CSV of the reference's travel and force"
+    )
+    for option, unit, text in (
+        ("--scale", "FACTOR", "mm per unit of the reference's lengths (1)"),
+        ("--force-factor", "FACTOR", "of the reference's forces: 4 for those of a quarter (1)"),
+        ("--travel", "MM", "where to compare (the largest travel of both)"),
+        ("--reference-travel", "MM", "of the reference's last state, if it does not tell"),
+        ("--within", "MM", "points farther than this from the other sheet are not compared"),
+        ("--band-angle", "DEG", "largest difference of the shear angle on 95 % of the area"),
+        ("--band-outline", "MM", "largest distance of the outlines"),
+        ("--band-force", "PERCENT", "largest difference of the force"),
+    ):
+        parser.add_argument(option, type=_positive, metavar=unit, help=text)
+    parser.add_argument(
+        "--by",
+        type=_one_of("auto", "flat", "formed"),
+        metavar="auto|flat|formed",
+        help="coordinates by which points are matched (flat if both have them)",
+    )
+    parser.add_argument(
+        "--align",
+        type=_one_of(*ALIGN),
+        metavar="|".join(ALIGN),
+        help="shift, or shift and turn, the reference to where it fits best (none)",
+    )
+    parser.add_argument(
+        "--mirror",
+        type=_planes,
+        metavar="x|y|x,y",
+        help="unfold the reference, a half or a quarter, at x = 0, y = 0 or both",
+    )
+    parser.add_argument(
+        "--area",
+        type=_area,
+        action="append",
+        metavar="NAME=X,Y,RADIUS",
+        help="a disc of the flat blank for a mean, mm; may be repeated (the scene's)",
+    )
+    parser.add_argument(
+        "--standing", type=_one_of(*STANDINGS), metavar="WORD", help="of the reference (peer)"
+    )
+    _add_out(parser)
+    parser.set_defaults(run=_compare)
+
+
+def _add_validate(commands: Any) -> None:
+    parser = commands.add_parser(
+        "validate",
+        help="the validation suite, with a report",
+        description="Run validation cases, compare them with their references, write a report.",
+        epilog="Exit status: 0 every band held; 1 a band was missed, or a case, value or reference "
+        "is missing.",
+        allow_abbrev=False,
+    )
+    parser.add_argument("cases", nargs="*", metavar="CASE", help="names of cases (all)")
+    parser.add_argument("--quick", action="store_true", help="the quick suite: under 5 minutes")
+    _add_out(parser)
+    parser.set_defaults(run=_validate)
 
 
 def _add_out(parser: argparse.ArgumentParser) -> None:
@@ -297,6 +496,12 @@ def _positive(text: str) -> float:
         raise argparse.ArgumentTypeError(f"expected a positive number, got '{text}'") from None
 
 
+def _count(text: str) -> int:
+    if not text.isdecimal() or not 0 < int(text) <= 1000:
+        raise argparse.ArgumentTypeError(f"expected a whole number from 1 to 1000, got '{text}'")
+    return int(text)
+
+
 def _degrees(text: str) -> float:
     with suppress(ValueError):
         if isfinite(number := float(text)):
@@ -319,6 +524,22 @@ def _kept(text: str) -> dict[str, float]:
                 f"expected NAME=VALUE,... such as I_lo=0.819, got '{entry}'"
             ) from None
     return kept
+
+
+def _planes(text: str) -> tuple[str, ...]:
+    planes = tuple(word.strip() for word in text.split(","))
+    if planes not in (("x",), ("y",), ("x", "y"), ("y", "x")):
+        raise argparse.ArgumentTypeError(f"expected x, y or x,y, got '{text}'")
+    return planes
+
+
+def _area(text: str) -> tuple[str, tuple[tuple[float, float], float]]:
+    name, _, numbers = text.partition("=")
+    with suppress(ValueError):
+        x, y, radius = (float(word) for word in numbers.split(","))
+        if name and isfinite(x) and isfinite(y) and 0 < radius < float("inf"):
+            return name, ((x, y), radius)
+    raise argparse.ArgumentTypeError(f"expected NAME=X,Y,RADIUS in mm, got '{text}'")
 
 
 def _path(text: str) -> Path:
@@ -365,8 +586,10 @@ def _unused(name: str) -> Path:
 
 def _say(text: str) -> None:
     """Print; a reader that has gone away (`| head`) does not end the run."""
+    shown = "".join(c if c.isprintable() or c == "\n" else ascii(c)[1:-1] for c in text)
+    encoding = sys.stdout.encoding or "utf-8"
     try:
-        print(text, flush=True)
+        print(shown.encode(encoding, "backslashreplace").decode(encoding), flush=True)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
@@ -407,6 +630,10 @@ def _report(result: Result) -> str:
             "{shear_angle_deg:.1f} deg".format(**summary["collapse"])
         )
     certified = summary["certified"]
+    if summary["one_of_many"]:
+        rows["one of many"] = summary["one_of_many"]
+    if summary["spread"]:
+        rows["robust"] = ", ".join(k for k, v in summary["spread"].items() if v["robust"]) or "none"
     if summary["path_size_mm"]:
         rows["path"] = f"followed at size {summary['path_size_mm']:g} mm"
     rows["certified"] = "yes" if certified is True else f"no: {certified}"

@@ -8,6 +8,7 @@ its normal. Everything is drawn on `Figure` objects of matplotlib, nothing throu
 from __future__ import annotations
 
 import textwrap
+import warnings
 from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -79,11 +80,17 @@ def save_pictures(result: Result, folder: str | Path) -> None:
     """
     from matplotlib import rc_context
 
-    with rc_context(STYLE):
+    with rc_context(STYLE), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Glyph")  # a name with letters the font lacks
         sheet = _plane_figure(result) if result.scene.dim == 2 else _formed_figure(result)
         sheet.savefig(Path(folder) / "shear_angle.png", dpi=DPI)
         _history_figure(result).savefig(Path(folder) / "history.png", dpi=DPI)
         _doubt_figure(result).savefig(Path(folder) / "doubt.png", dpi=DPI)
+
+
+def _plain(name: str) -> str:
+    """Return a name from a file as a label of a legend: nothing in it is a formula."""
+    return name.replace("$", r"\$").lstrip("_")  # matplotlib hides what begins with _
 
 
 def _formed_figure(result: Result) -> Figure:
@@ -417,7 +424,7 @@ def _draw_areas(axes: Axes, result: Result, positions: FloatArray) -> list[Line2
             color=colour,
             linewidth=1.2,
             path_effects=rims,
-            label=f"{name} –" if mean is None else f"{name} {mean:.1f}°",
+            label=_plain(f"{name} –" if mean is None else f"{name} {mean:.1f}°"),
         )
     return rings
 

@@ -351,7 +351,7 @@ def test_form_writes_every_file_into_out(capsys, here):
 def test_options_reach_the_scene_and_the_solver(here, monkeypatch):
     given = []
 
-    def solve(scene, callback, increment, linear):
+    def solve(scene, callback, increment, linear, out):
         given.append((scene, increment, linear))
         raise KeyboardInterrupt
 
@@ -522,20 +522,22 @@ def test_a_failing_picture_does_not_cost_the_numbers(here, monkeypatch):
 
 
 def test_a_full_disk_is_told_in_one_line(capsys, monkeypatch):
-    def full(result):
+    def full(result, folder, since=0):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(qf.Result, "summary", full)
-    assert main([*OAT, "--out", "out"]) == 2
-    err = capsys.readouterr().err
-    assert err.endswith("quasiform: cannot write to out: No space left on device\n")
+    monkeypatch.setattr(qf.Result, "write", full)
+    assert main([*OAT, "--out", "out"]) == 3
+    said = capsys.readouterr().out
+    assert "stopped at 0 of 5 mm: cannot write to out: No space left on device\n" in said
 
 
 @pytest.mark.usefixtures("undrawn")
 def test_a_stopped_run_is_written_says_so_and_exits_3(capsys, monkeypatch):
     def stopped(scene, *arguments, **named):
         collapse = {"travel_mm": 4.5, "at": [1.0, -2.0], "shear_angle_deg": 85.5, "triangles": 2}
-        return replace(qf.solve(scene), reason="the sheet is torn", collapse=collapse)
+        result = replace(qf.solve(scene), reason="the sheet is torn", collapse=collapse)
+        result.save(named["out"].folder)
+        return result
 
     monkeypatch.setattr(cli, "solve", stopped)
     assert main([*OAT, "--out", "out"]) == 3
