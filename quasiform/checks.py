@@ -5,15 +5,31 @@ from __future__ import annotations
 import difflib
 import tomllib
 from collections.abc import Callable, Iterable
+from errno import EISDIR
 from numbers import Real
+from os import strerror
 from pathlib import Path
+from stat import S_ISDIR, S_ISREG
 from typing import Any, TypeVar
 
 T = TypeVar("T")
+LONGEST = 400  # characters of a message
+BIGGEST = 10_000_000  # bytes of a TOML file
+DEEPEST = 30  # tables and lists in each other
 
 
 class InputError(ValueError):
-    """Wrong input; the message is one line for the user (exit status 2 on the command line)."""
+    """Wrong input; the message is one line for the user (exit status 2 on the command line).
+
+    What it cites from a file may be anything: it is shortened in the middle, and characters that
+    would move the cursor or break the line are shown by their codes.
+    """
+
+    def __str__(self) -> str:
+        message = " ".join(super().__str__().split())
+        if len(message) > LONGEST:
+            message = f"{message[: LONGEST // 2]} ... {message[-LONGEST // 2 :]}"
+        return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in message)
 
 
 def check_number(name: str, value: Any, *, zero_allowed: bool = False) -> float:
@@ -35,15 +51,77 @@ def check_keys(table: Iterable[str], known: Iterable[str], where: str = "") -> N
             raise InputError(f"{prefix}unknown key '{key}': {suggestion(key, known)}")
 
 
+def check_file(path: str | Path) -> None:
+    """Refuse what is no regular file: a pipe or a device in its place may never end.
+
+    Raises
+    ------
+    OSError
+        If there is nothing, or a folder.
+    InputError
+    """
+    try:
+        mode = Path(path).stat().st_mode
+        if S_ISDIR(mode):
+            raise IsADirectoryError(EISDIR, strerror(EISDIR))
+        if not S_ISREG(mode):
+            raise InputError("not a regular file")
+    except ValueError as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"not the name of a file: {str(path)!r}") from error  # a null character
+
+
 def read_toml(path: str | Path, build: Callable[[dict[str, Any]], T]) -> T:
     """Build something from the table in a TOML file; every refusal names the file."""
     try:
-        with open(path, "rb") as file:
-            return build(tomllib.load(file))
+        return build(_toml(path))
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from error
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError, InputError) as error:
+    except InputError as error:
         raise InputError(f"{path}: {error}") from error
+
+
+def _toml(path: str | Path) -> dict[str, Any]:
+    """Table of a TOML file that is not meant to hold up its reader."""
+    check_file(path)
+    if Path(path).stat().st_size > BIGGEST:
+        raise InputError(f"larger than {BIGGEST / 1e6:g} MB")
+    try:
+        text = Path(path).read_bytes().decode("utf-8-sig")
+        # the time that tomllib takes for a dotted key grows with the square of its parts
+        for word in text.replace(" ", "").replace("\t", "").split("\n"):
+            if word.count(".") > 20 * DEEPEST and _parts(word) > 10 * DEEPEST:
+                raise InputError(f"a key of more than {10 * DEEPEST} parts")
+        table = tomllib.loads(text)
+    except RecursionError:
+        raise InputError(f"tables and lists nested deeper than {DEEPEST}") from None
+    except ValueError as error:  # of the encoding, of TOML, or of a number with too many digits
+        raise InputError(str(error)) from error
+    level: list[Any] = [table]
+    for _ in range(DEEPEST):
+        level = [
+            inner
+            for outer in level
+            for inner in (outer.values() if isinstance(outer, dict) else outer)
+            if _holds_more(inner)
+        ]
+    if level:
+        raise InputError(f"tables and lists nested deeper than {DEEPEST}")
+    return table
+
+
+def _parts(line: str) -> int:
+    """Largest number of parts that dots join, blanks left out."""
+    words = line.translate(str.maketrans(",[]{}=#", " " * 7)).split()
+    return max(sum(map(bool, word.split("."))) for word in words)
+
+
+def _holds_more(value: Any) -> bool:
+    """Whether a value of TOML is a table or list; refuse numbers beyond its 64 bits."""
+    if isinstance(value, int) and not -(2**63) <= value < 2**63:
+        raise InputError("an integer that does not fit into 64 bits")
+    return isinstance(value, dict | list)
 
 
 def suggestion(word: str, known: Iterable[str]) -> str:

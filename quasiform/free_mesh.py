@@ -8,15 +8,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import meshio
 import numpy as np
 import shapely
 from scipy.optimize import Bounds, LinearConstraint, milp
 from scipy.sparse import csc_array
 
 from .blank import MOST_TRIANGLES, Blank, rotation
-from .checks import InputError, check_number
-from .surface_file import naming, optional
+from .checks import InputError, check_file, check_number
+from .outline import check_unit
+from .surface_file import check_numbers, naming, optional, read_mesh
 
 FloatArray = np.ndarray
 IntArray = np.ndarray
@@ -51,7 +51,9 @@ def triangulate(outline: shapely.Polygon, size: float, orientation: float = 0.0)
         raise InputError(f"size {size:g} mm makes more than {MOST_TRIANGLES:.0e} triangles")
     gmsh = optional("gmsh", "cad", "a free triangulation needs gmsh")
     edge = size * np.sqrt(2.0 / np.sqrt(3.0))  # an equilateral triangle of half a cell's area
-    gmsh.initialize(interruptible=False)
+    if gmsh.isInitialized():
+        raise InputError("gmsh is in use by the calling program: finalize it first")
+    gmsh.initialize(readConfigFiles=False, interruptible=False)
     try:
         gmsh.option.setNumber("General.Terminal", 0)
         gmsh.option.setNumber("Mesh.Algorithm", 6)
@@ -95,25 +97,25 @@ def own_mesh(path: str | Path, orientation: float = 0.0, scale: float = 1.0) -> 
     """
     path = Path(path)
     with naming(path):
-        try:
-            mesh = meshio.read(path)
-        except (Exception, SystemExit) as error:  # meshio's readers raise what they like
-            reason = " ".join(str(error).split()) or type(error).__name__
-            raise InputError(f"not a readable mesh: {reason}") from error
+        check_number("scale", scale)
+        check_file(path)
+        mesh = read_mesh(path)
         blocks = mesh.cells_dict
         triangles = np.asarray(blocks.get("triangle", np.zeros((0, 3), dtype=int)))
         quads = np.asarray(blocks.get("quad", np.zeros((0, 4), dtype=int)))
         if not len(triangles) + len(quads):
             raise InputError("no triangles or quadrilaterals")
-        points = scale * np.pad(mesh.points, ((0, 0), (0, 3 - mesh.points.shape[1])))
-        if not np.isfinite(points).all():
-            raise InputError("a node's place is not a finite number")
+        points = np.pad(mesh.points, ((0, 0), (0, 3 - mesh.points.shape[1]))).astype(float)
+        check_numbers(points, np.concatenate([triangles.ravel(), quads.ravel()]))
+        points *= scale
         if np.ptp(points[:, 2]) > 1e-6 * np.ptp(points):
             raise InputError(f"the mesh is not flat: its z spans {np.ptp(points[:, 2]):.3g} mm")
         used = np.unique(np.r_[triangles.ravel(), quads.ravel()])
         number = np.full(len(points), -1)
         number[used] = np.arange(len(used))
-        return _blank(points[used, :2], number[triangles], number[quads], orientation)
+        blank = _blank(points[used, :2], number[triangles], number[quads], orientation)
+        check_unit(np.ptp(blank.nodes, axis=0).max(), scale)
+        return blank
 
 
 def outline_of(blank: Blank) -> shapely.Polygon:
@@ -139,7 +141,7 @@ def _blank(nodes: FloatArray, triangles: IntArray, quads: IntArray, orientation:
     triangles = np.vstack([triangles, halves])
     u, v = (nodes[triangles[:, k]] - nodes[triangles[:, 0]] for k in (1, 2))
     twice = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
-    flat = np.abs(twice) < 1e-6 * (u**2 + v**2).sum(1)
+    flat = np.abs(twice) <= 1e-6 * (u**2 + v**2).sum(1)
     if flat.any():
         x, y = nodes[triangles[flat.argmax()]].mean(0)
         raise InputError(f"an element without area at ({x:.4g}, {y:.4g}) mm")

@@ -18,7 +18,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from .checks import InputError, check_number
+from .checks import InputError, check_file, check_number
 from .surface_file import CAD, MESHES, read_surface
 
 FloatArray = np.ndarray
@@ -122,6 +122,8 @@ def read_outline(path: str | Path, scale: float = 1.0) -> shapely.Polygon:
     kind = path.suffix.lower()
     try:
         check_number("scale", scale)
+        if kind in (".dxf", *TABLES):
+            check_file(path)
         if kind == ".dxf":
             outline = _from_lines(_drawn(path, scale), GAP)
         elif kind in MESHES or kind in CAD:
@@ -131,7 +133,8 @@ def read_outline(path: str | Path, scale: float = 1.0) -> shapely.Polygon:
         else:
             known = ", ".join([".dxf", *MESHES, *CAD, *TABLES])
             raise InputError(f"unknown kind of outline '{kind}': expected one of {known}")
-        _check_unit(outline, scale)
+        low_x, low_y, high_x, high_y = outline.bounds
+        check_unit(max(high_x - low_x, high_y - low_y), scale)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}") from error
     except UnicodeDecodeError as error:
@@ -173,8 +176,6 @@ def _drawn(path: Path, scale: float) -> list[FloatArray]:
         logging.getLogger("ezdxf").addHandler(logging.NullHandler())  # else it prints warnings
     except ImportError as error:
         raise InputError("a .dxf file needs ezdxf: pip install 'quasiform[cad]'") from error
-    with path.open("rb"):  # a missing file is told here
-        pass
     try:
         drawing = ezdxf.readfile(path)
         unit = drawing.header.get("$INSUNITS", 0)
@@ -292,14 +293,17 @@ def _loop(points: FloatArray) -> shapely.Polygon:
     return shapely.orient_polygons(loop)
 
 
-def _check_unit(outline: shapely.Polygon, scale: float) -> None:
-    low_x, low_y, high_x, high_y = outline.bounds
-    across = max(high_x - low_x, high_y - low_y)
+def check_unit(across: float, scale: float) -> None:
+    """Doubt the unit of a blank that is a few mm or many metres across.
+
+    Raises
+    ------
+    InputError
+    """
     if not SMALLEST <= across <= LARGEST:
         unit, factor = ("metres", 1000.0) if across < SMALLEST else ("micrometres", 1e-3)
         raise InputError(
-            f"the outline is {across:.3g} mm across: is it in {unit}? set scale = "
-            f"{factor * scale:g}"
+            f"the blank is {across:.3g} mm across: is it in {unit}? set scale = {factor * scale:g}"
         )
 
 

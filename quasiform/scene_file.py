@@ -18,6 +18,7 @@ import shapely
 from . import outline as outlines
 from .checks import InputError, check_keys, check_number, read_toml, suggestion
 from .tool import (
+    FAR,
     Plane,
     Shape,
     ball,
@@ -70,6 +71,10 @@ REGION = {
     "file": ("file", "scale"),
 }
 MOTIONS = {"punch": "driven", "die": "fixed", "holder": "free"}
+
+
+LARGEST = 1e6  # of a number, in its unit: a kilometre, a meganewton
+MOST_ROWS = 10_000
 
 
 @dataclass(frozen=True)
@@ -231,6 +236,9 @@ class _Reader:
                 *("supports", "grippers", "areas", "increments", "outputs"),
             ],
         )
+        name = table.get("name", stem)
+        if not isinstance(name, str):
+            raise InputError(f"name must be a text, got {name!r}")
         blank = self.table(table, "blank", required=True)
         tools = self.table(table, "tools", required=True)
         increments = self.table(table, "increments")
@@ -247,7 +255,7 @@ class _Reader:
         if not own and "mesh_scale" in blank:
             raise InputError("[blank] mesh_scale goes with a mesh from a file")
         scene = SceneFile(
-            name=str(table.get("name", stem)),
+            name=name,
             outline=shapely.Polygon() if own else self.outline(blank),
             travel=self.number(table, "travel", ""),
             tools=[self.tool(name, tools) for name in tools],
@@ -274,6 +282,13 @@ class _Reader:
             },
             standings=self.standings,
         )
+        for key in ("increment", "rows"):
+            if scene.travel > MOST_ROWS * getattr(scene, key):
+                named = {"increment": "largest"}.get(key, key)
+                raise InputError(
+                    f"increments.{named} must be at least 1/{MOST_ROWS} of the travel, "
+                    f"{scene.travel / MOST_ROWS:g} mm, got {getattr(scene, key):g}"
+                )
         if not any(tool.motion == "driven" for tool in scene.tools):
             raise InputError("no tool is driven: one of [tools] needs role = 'punch'")
         return scene
@@ -334,6 +349,10 @@ class _Reader:
             for key in keys:
                 angle = key == "azimuth"
                 numbers[key] = self.number(table, key, where, 0.0 if angle else None, signed=angle)
+                if numbers[key] > FAR / 4 and not angle:  # a straight tool ends at FAR
+                    raise InputError(
+                        f"{where}.{key} must not exceed {FAR / 4:g} mm, got {numbers[key]:g}"
+                    )
             try:
                 shape = build(**numbers)
             except InputError as error:
@@ -455,10 +474,12 @@ class _Reader:
             self.standings[name] = _standing(value, name)
             value = value.get("value")
         if signed:
-            if type(value) not in (int, float) or not abs(value) < 1e100:
-                raise InputError(f"{name} must be a number, got {value!r}")
+            if type(value) not in (int, float) or not abs(value) <= LARGEST:
+                raise InputError(f"{name} must be a number of up to {LARGEST:g}, got {value!r}")
             return float(value)
-        return float(check_number(name, value, zero_allowed=zero))
+        if check_number(name, value, zero_allowed=zero) > LARGEST:
+            raise InputError(f"{name} must not exceed {LARGEST:g}, got {value!r}")
+        return float(value)
 
     def vector(
         self, table: Table, key: str, where: str, length: int, default: tuple | None
@@ -467,10 +488,12 @@ class _Reader:
         if isinstance(value, tuple):
             return value
         numbers = isinstance(value, list) and all(
-            type(c) in (int, float) and abs(c) < 1e100 for c in value
+            type(c) in (int, float) and abs(c) <= LARGEST for c in value
         )
         if not numbers or len(value) != length:
-            raise InputError(f"[{where}] {key} = {value!r}: expected {length} numbers")
+            raise InputError(
+                f"[{where}] {key} = {value!r}: expected {length} numbers of up to {LARGEST:g}"
+            )
         return tuple(float(c) for c in value)
 
     def flag(self, table: Table, key: str, where: str, default: bool) -> bool:

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import os
 import re
+import subprocess
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from importlib import import_module
 from io import StringIO
@@ -23,7 +24,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from .checks import InputError, check_number
+from .checks import InputError, check_file, check_number
 
 FloatArray = np.ndarray
 Surface = tuple[FloatArray, np.ndarray]
@@ -44,9 +45,11 @@ CAD = {
     ".brep": "brep",
     ".geo": "geo",
 }
+LARGEST = 1e12  # of a coordinate, in any unit of a file
 MERGED = 1e-6  # vertices nearer than this share of the surface's size are one
-FACETS = 120  # on a full circle; a CAD surface's facets are 1/200 to 1/60 of its size
-SEWN = 1e-3  # mm; gaps between the faces of an IGES file
+MEMORY = 500_000_000  # bytes for reading a mesh, beside a hundred times its file
+PATIENCE = 120.0  # s, for a CAD file
+CAD_MESH = Path(__file__).with_name("cad_mesh.py")
 # What makes a .geo file do more than describe a shape: run programs, read, write or end
 _ACTIVE = (
     "System SystemCall NonBlockingSystemCall OnelabRun OnelabAction Include Merge "
@@ -93,9 +96,9 @@ def read_surface(path: str | Path, scale: float = 1.0) -> Surface:
         if kind not in {**MESHES, **CAD}:
             known = ", ".join([*MESHES, *CAD])
             raise InputError(f"unknown kind of surface '{kind}': expected one of {known}")
-        with path.open("rb"):  # a missing file is told here, whoever reads it
-            pass
+        check_file(path)
         vertices, triangles = _read_cad(path, CAD[kind]) if kind in CAD else _read_mesh(path, kind)
+        check_numbers(vertices, triangles)
         vertices, triangles = _merged(scale * vertices, triangles)
         return vertices, _oriented(vertices, triangles) if kind in CAD else triangles
 
@@ -103,58 +106,90 @@ def read_surface(path: str | Path, scale: float = 1.0) -> Surface:
 def _read_mesh(path: Path, kind: str) -> Surface:
     if kind == ".ply" and not re.search(rb"^end_header\s*$", path.read_bytes(), re.MULTILINE):
         raise InputError("not a readable .ply file: no end_header")  # meshio would not end either
-    try:
-        with redirect_stdout(StringIO()), redirect_stderr(StringIO()), warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            mesh = MESHES[kind].read(str(path))
-    except Exception as error:  # whatever meshio's parsers meet
-        raise InputError(f"not a readable {kind} file: {_line(error)}") from error
+    mesh = read_mesh(path, MESHES[kind].read)
     splits = {"triangle": [[0, 1, 2]], "quad": [[0, 1, 2], [0, 2, 3]]}
     parts = [block.data[:, split] for block in mesh.cells for split in splits.get(block.type, [])]
-    return np.asarray(mesh.points, float), np.concatenate([np.empty((0, 3), int), *parts])
+    if not parts:
+        raise InputError("no triangles")
+    points = np.pad(np.asarray(mesh.points, float), ((0, 0), (0, 3 - mesh.points.shape[1])))
+    return points, np.concatenate(parts)
+
+
+def read_mesh(path: Path, read: Callable[[str], meshio.Mesh] = meshio.read) -> meshio.Mesh:
+    """Read a mesh by meshio, which prints, warns, exits and raises what it likes.
+
+    Raises
+    ------
+    InputError
+    """
+    try:
+        with (
+            redirect_stdout(StringIO()),
+            redirect_stderr(StringIO()),
+            warnings.catch_warnings(),
+            _enough_memory(path.stat().st_size),
+        ):
+            warnings.simplefilter("ignore")
+            mesh = read(str(path))
+    except (Exception, SystemExit) as error:
+        reason = "" if isinstance(error, SystemExit) else f": {_line(error)}"
+        raise InputError(f"not a readable {path.suffix.lower()} file{reason}") from error
+    if len(mesh.points) and (mesh.points.ndim != 2 or mesh.points.shape[1] not in (2, 3)):
+        raise InputError("the points have no two or three coordinates")
+    return mesh
+
+
+@contextmanager
+def _enough_memory(size: int) -> Iterator[None]:
+    """Let a damaged count in a file of `size` bytes end in a MemoryError, where Linux can."""
+    try:
+        resource = import_module("resource")
+        used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    except (ImportError, OSError):
+        yield
+        return
+    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    most = used + MEMORY + 100 * size
+    limits = [limit for limit in (soft, hard) if limit != resource.RLIM_INFINITY]
+    resource.setrlimit(resource.RLIMIT_AS, (min([most, *limits]), hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
 
 
 def _read_cad(path: Path, kind: str) -> Surface:
-    program = path.read_text(encoding="utf-8", errors="replace") if kind == "geo" else ""
-    program = _only_shape(program)
     gmsh = optional("gmsh", "cad", f"a {path.suffix} file needs gmsh")
     if gmsh.isInitialized():
         raise InputError("gmsh is in use by the calling program: finalize it first")
-    gmsh.initialize(readConfigFiles=False, interruptible=False)
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
-        gmsh.option.setString("Geometry.OCCTargetUnit", "MM")
+    with TemporaryDirectory() as folder:
+        out = Path(folder, "mesh.npz")
+        given = path.absolute()
         if kind == "geo":
             # what was checked, away from a .geo.opt beside the file, which gmsh would run too
-            with TemporaryDirectory() as folder:
-                checked = Path(folder, "tool.geo")
-                checked.write_text(program, encoding="utf-8")
-                gmsh.merge(str(checked))
-        else:
-            with _silent():
-                gmsh.model.occ.importShapes(str(path), format=kind)
-                if kind == "iges":  # its faces do not know their neighbours
-                    gmsh.model.occ.healShapes(tolerance=SEWN)
-            gmsh.model.occ.synchronize()
-        box = np.reshape(gmsh.model.getBoundingBox(-1, -1), (2, 3))
-        size = float(np.linalg.norm(box[1] - box[0]))
-        sizes = {"FromCurvature": FACETS, "Min": size / 200, "Max": size / 60}
-        sizes["ExtendFromBoundary"] = 0
-        for option, value in sizes.items():
-            gmsh.option.setNumber(f"Mesh.MeshSize{option}", value)
-        gmsh.option.setNumber("Mesh.ElementOrder", 1)
-        gmsh.option.setNumber("Mesh.RecombineAll", 0)
-        gmsh.model.mesh.generate(2)
-        tags, points, _ = gmsh.model.mesh.getNodes()
-        nodes = gmsh.model.mesh.getElementsByType(2)[1]
-    except Exception as error:  # all that gmsh raises
-        reason = re.sub(r"'\S*[/\\]", "'", _line(error))  # without the temporary folder
-        raise InputError(f"gmsh cannot read it: {reason}") from error
-    finally:
-        gmsh.finalize()
+            given = Path(folder, "tool.geo")
+            program = _only_shape(path.read_text(encoding="utf-8", errors="replace"))
+            given.write_text(program, encoding="utf-8")
+        try:
+            run = subprocess.run(
+                [sys.executable, "-P", CAD_MESH, given, kind, out],
+                cwd=folder,
+                env=os.environ | {"HOME": folder},  # gmsh leaves a folder there
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.PIPE,
+                timeout=PATIENCE,
+            )
+        except subprocess.TimeoutExpired as error:
+            raise InputError(f"gmsh cannot read it within {PATIENCE:g} s") from error
+        if run.returncode:
+            said = run.stderr.decode(errors="replace").strip() if run.returncode > 0 else "it fails"
+            reason = re.sub(r"'\S*[/\\]", "'", said)  # without the folder
+            raise InputError(f"gmsh cannot read it: {reason}")
+        with np.load(out) as found:
+            tags, points, corners = (found[name] for name in ("tags", "points", "corners"))
     order = np.argsort(tags)
-    triangles = order[np.searchsorted(tags, nodes, sorter=order)].reshape(-1, 3)
-    return points.reshape(-1, 3), triangles
+    return points, order[np.searchsorted(tags, corners, sorter=order)]
 
 
 def _only_shape(program: str) -> str:
@@ -180,6 +215,8 @@ def _merged(vertices: FloatArray, triangles: np.ndarray) -> Surface:
     _, first = np.unique(same, return_index=True)
     triangles = same[triangles]
     sides = triangles != np.roll(triangles, 1, axis=1)
+    if not sides.all(1).any():
+        raise InputError("no triangle has an area")
     used, triangles = np.unique(triangles[sides.all(1)], return_inverse=True)
     return vertices[first][used], triangles.reshape(-1, 3).astype(np.int64)
 
@@ -203,9 +240,9 @@ def check_numbers(vertices: FloatArray, triangles: np.ndarray) -> None:
         raise InputError("no triangles")
     if triangles.min() < 0 or triangles.max() >= len(vertices):
         raise InputError("a triangle refers to a vertex that is not there")
-    if not np.isfinite(vertices).all():
-        wrong = len(vertices) - np.isfinite(vertices).all(1).sum()
-        raise InputError(f"{wrong} vertices are not finite numbers")
+    wrong = ~(np.abs(vertices) < LARGEST).all(1)
+    if wrong.any():
+        raise InputError(f"{wrong.sum()} vertices are not finite numbers below {LARGEST:g}")
 
 
 def _line(error: Exception) -> str:
@@ -218,20 +255,6 @@ def optional(module: str, extra: str, need: str) -> Any:
         return import_module(module)
     except (ImportError, OSError) as error:  # OSError: gmsh without the system's libraries
         raise InputError(f"{need}: pip install 'quasiform[{extra}]'") from error
-
-
-@contextmanager
-def _silent() -> Iterator[None]:
-    """Keep what is printed below Python (by gmsh's OpenCASCADE) from the standard output."""
-    sys.stdout.flush()
-    kept, nowhere = os.dup(1), os.open(os.devnull, os.O_WRONLY)
-    try:
-        os.dup2(nowhere, 1)
-        yield
-    finally:
-        os.dup2(kept, 1)
-        os.close(kept)
-        os.close(nowhere)
 
 
 @contextmanager

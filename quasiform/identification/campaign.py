@@ -34,7 +34,7 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import InputError, check_keys, check_number, read_toml, suggestion
+from ..checks import InputError, check_file, check_keys, check_number, read_toml, suggestion
 from ..material import Fabric, fabric_of
 from .cantilever import Stiffness, from_profile, from_repeats, from_tip
 from .energy_method import Forces
@@ -192,7 +192,7 @@ def load(path: str | Path, **given: Any) -> Campaign:
     table: dict[str, Any] = {"name": given.get("name", path.stem), **settings}
     if "thickness" in given:
         table["fabric"] = {"thickness": given["thickness"]}
-    table["tests"] = [{"kind": "off-axis", **test, "files": [str(path.resolve())]}]
+    table["tests"] = [{"kind": "off-axis", **test, "files": [str(path.absolute())]}]
     campaign = _campaign(table, path)
     return replace(campaign, sources=(path,))
 
@@ -299,6 +299,7 @@ def _cantilever(
             tips = np.atleast_2d(np.array(test["tip"], dtype=float))
             return family, from_tip(tips[:, 0], tips[:, 1], test["length"], weight)
         path = folder / test["profile"]
+        check_file(path)
         sources.append(path)
         with warnings.catch_warnings():
             warnings.simplefilter("error")  # of an empty file

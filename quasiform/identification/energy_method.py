@@ -23,6 +23,7 @@ import numpy as np
 from scipy.interpolate import BSpline
 from scipy.optimize import nnls
 
+from ..checks import InputError
 from ..material import TabulatedLaw
 
 FloatArray = np.ndarray
@@ -173,6 +174,8 @@ class _Problem:
         for price in noise * PRICES:
             for _ in range(8):  # the total variation, by reweighting
                 S = self.middle @ d
+                if not S.max() > 0:
+                    raise InputError("no shear stress follows from these forces")
                 scale = np.maximum(S, 0.02 * S.max())
                 bend = np.abs(self.third @ d) / scale
                 lever = np.sqrt(price * self.widths / (bend + 0.01 * bend.mean())) / scale

@@ -244,7 +244,7 @@ def stages(curve: StressCurve, keep: Mapping[str, float]) -> list[ThreeStageLaw]
     C_mid = max(float(K[flat]), 1e-3 * C_ini)
     dS_mid = max(float(S[flat] - K[flat] * x[flat]), 0.1 * float(S[flat]))
     found = []
-    onsets = [*np.arange(0.25, top, 0.05), top]
+    onsets = [*np.arange(0.25, top, 0.05), max(top, LONGEST + 0.01)]
     for I_lo in [keep["I_lo"]] if "I_lo" in keep else onsets:
         late = x > I_lo
         z = x[late] - I_lo

@@ -214,4 +214,7 @@ def _write(path: Path, head: list[str], rows: list[list[Any]]) -> None:
         writer = csv.writer(file)
         writer.writerow(head)
         for row in rows:
-            writer.writerow([f"{v:.8g}" if isinstance(v, float) else v for v in row])
+            # no bound is known where a cell stays empty
+            writer.writerow(
+                [("" if v != v else f"{v:.8g}") if isinstance(v, float) else v for v in row]
+            )

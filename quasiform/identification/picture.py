@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -34,13 +35,20 @@ def save_picture(identification: Identification, path: str | Path) -> None:
         campaign, curve = identification.campaign, identification.curve
         misfit = identification.fabric.provenance["force_misfit_percent"]
         figure.suptitle(
-            f"{campaign.name} · {campaign.standing} data · "
+            f"{_short(campaign.name)} · {_short(campaign.standing)} data · "
             f"{identification.fabric.provenance['method']}\n"
             f"tested from {curve.low:.1f}° to {curve.high:.1f}°, "
-            f"forces within {misfit:g} % (root mean square)",
-            parse_math=False,
+            f"forces within {misfit:g} % (root mean square)"
         )
-        figure.savefig(path, dpi=DPI)
+        with warnings.catch_warnings():  # a name may have letters that the font lacks
+            warnings.filterwarnings("ignore", message="Glyph")
+            figure.savefig(path, dpi=DPI)
+
+
+def _short(name: str) -> str:
+    """Return a name from a file as a label: one short line, nothing in it a formula."""
+    line = "".join(c if c.isprintable() else " " for c in name)
+    return (line if len(line) <= 40 else f"{line[:37]}...").replace("$", r"\$")
 
 
 def _draw_stress(axes: Axes, identification: Identification) -> None:
@@ -50,7 +58,7 @@ def _draw_stress(axes: Axes, identification: Identification) -> None:
     S, half = curve.stress(I6), 2.0 * curve.deviation(I6)
     for test, marker in zip(campaign.shear, MARKERS, strict=False):
         angle, value = _apparent(identification, test)
-        label = f"{campaign.standing}: {test.name}"
+        label = f"{_short(campaign.standing)}: {_short(test.name)}"
         axes.plot(angle, value, marker, color="0.55", markersize=2.2, mew=0, label=label)
     axes.fill_between(gamma, S - half, S + half, color=FIRST, alpha=0.2, lw=0)
     axes.plot(gamma, S, color=FIRST, label="energy method, 95 %")
@@ -91,7 +99,7 @@ def _draw_forces(axes: Axes, identification: Identification) -> None:
         strip = isinstance(test.specimen, OffAxis)
         kind = f"off-axis {test.specimen.angle:g}°" if strip else "frame"
         points = {"color": "0.55", "markersize": 2.2, "mew": 0}
-        label = f"{kind}, {campaign.standing}"
+        label = f"{kind}, {_short(campaign.standing)}"
         axes.plot(angle[shown], forces.force[shown], marker, label=label, **points)
         fine = np.linspace(angle.min(), angle.max(), 200)
         shares, angles = (

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..checks import InputError, check_keys, suggestion
+from ..checks import InputError, check_file, check_keys, suggestion
 
 FloatArray = np.ndarray
 Row = tuple[int, bool, list[str]]  # line number, whether a comment, cells
@@ -26,6 +26,8 @@ FEWEST = 8  # rows of a curve
 UNSTRAINED = 0.25  # of the force at the slope of the start: below, the displacement has an offset
 BACK = 0.02  # of the range; going back further is no jitter
 DROP = 0.2  # of the largest force; a specimen whose force drops by more is torn
+LARGEST = 1e9  # mm, N, rad or N/mm
+WIDEST = 5000  # characters of a line
 SMALL = 0.02  # of the largest force: near zero, and where relative noise becomes absolute
 OFFSET = 0.05  # of the largest force; a constant level above is friction, not a load cell's offset
 NAMES = {
@@ -120,6 +122,9 @@ def read(
         for quantity in values:
             unit = units.get(quantity) or declared.get(quantity)
             values[quantity] *= _factor(quantity, unit, values[quantity], notices)
+            if not (largest := np.abs(values[quantity]).max()) < LARGEST:
+                told = _told(quantity, largest)
+                raise InputError(f"the {_label(quantity)} reaches {told}: check its unit")
         return _loading(values, lines, notices)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}") from error
@@ -184,6 +189,7 @@ def _quantities(curve: Curve) -> str:
 
 
 def _text(path: Path) -> str:
+    check_file(path)
     content = path.read_bytes()
     try:
         text = content.decode("utf-8-sig")
@@ -191,6 +197,9 @@ def _text(path: Path) -> str:
         text = content.decode("latin-1")
     if re.search("[\x00-\x08\x0e-\x1f]", text):
         raise InputError("not a text file: expected CSV in UTF-8 or Latin-1")
+    for number, line in enumerate(re.split("\r\n|\r|\n", text), 1):
+        if len(line) > WIDEST:  # the time for a heading grows with the square of its blanks
+            raise InputError(f"line {number} has {len(line)} characters: no row of a table")
     return text
 
 
@@ -252,7 +261,7 @@ def _plain(name: str) -> str:
 
 def _name_unit(heading: str) -> tuple[str, str | None]:
     """Name, without blanks and in small letters, and unit of a heading such as Force [kN]."""
-    if _plain(heading) not in _QUANTITY:
+    if _plain(heading) not in _QUANTITY and len(heading) < 200:
         for pattern in _NAME_UNIT:
             match = pattern.fullmatch(heading)
             if match:
