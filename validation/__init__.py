@@ -1,1 +1,1 @@
-"""Cases that compare computed values with references; `python -m validation.run` runs them."""
+"""Cases that compare computed values with references; `quasiform validate` runs them."""

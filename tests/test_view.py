@@ -1,0 +1,120 @@
+"""The interactive view holds the sheet as it is, and a browser shows it."""
+
+import json
+
+import numpy as np
+import pytest
+
+import quasiform as qf
+from quasiform import view
+from quasiform.plot import SCALES
+from tests.chromium import opened, program
+
+pytest.importorskip("plotly")
+
+
+@pytest.fixture(scope="module")
+def formed():
+    return qf.solve(qf.forming("hemisphere", 45, size=25, travel=40), estimate=False)
+
+
+@pytest.fixture(scope="module")
+def pulled():
+    return qf.solve(qf.off_axis_tension(30, displacement=50, size=40), estimate=False)
+
+
+@pytest.fixture(params=["formed", "pulled"])
+def result(request):
+    return request.getfixturevalue(request.param)
+
+
+def test_mesh_is_the_sheet(result):
+    sheet = view.figure(result).data[0]
+    assert np.column_stack([sheet.x, sheet.y, sheet.z]) == pytest.approx(
+        result.positions(), abs=1e-4
+    )
+    assert (np.column_stack([sheet.i, sheet.j, sheet.k]) == result.blank.triangles).all()
+    assert sheet.intensitymode == "cell"
+    assert sheet.intensity == pytest.approx(np.abs(result.shear_angle), abs=1e-4)
+    assert sheet.customdata[:, 0] == pytest.approx(result.shear_angle, abs=1e-4)
+    middle = result.blank.nodes[result.blank.triangles].mean(1)
+    assert sheet.customdata[:, 1:3] == pytest.approx(middle, abs=1e-4)
+    assert sheet.customdata[:, 3] == pytest.approx(result.cell_fields()["E11"], abs=1e-6)
+    assert sheet.cmin == 0
+    assert sheet.cmax in SCALES
+
+
+def test_an_earlier_state_is_another_sheet(formed):
+    first, last = (view.figure(formed, state).data[0] for state in (0, -1))
+    assert np.ptp(first.z) < 1e-6 < 30 < np.ptp(last.z)
+    assert np.abs(first.intensity).max() < 1e-6
+
+
+def test_collapsed_triangles_are_marked(pulled, formed):
+    collapsed = pulled.doubts()["collapsed"]
+    assert collapsed.any()
+    traces = {trace.name: trace for trace in view.figure(pulled).data}
+    assert len(traces["collapsed"].i) == collapsed.sum()
+    assert "collapsed" not in [trace.name for trace in view.figure(formed).data]
+
+
+def test_nothing_lies_outside_the_box(result):
+    figure = view.figure(result)
+    for axis in "xyz":
+        low, high = figure.layout.scene[f"{axis}axis"].range
+        for trace in figure.data:
+            assert low < np.nanmin(trace[axis])
+            assert np.nanmax(trace[axis]) < high
+    ratio = figure.layout.scene.aspectratio
+    widths = [np.ptp(figure.layout.scene[f"{axis}axis"].range) for axis in "xyz"]
+    scales = np.array([ratio.x, ratio.y, ratio.z]) / widths
+    assert scales == pytest.approx(scales[0])  # a circle stays a circle
+
+
+def test_bowl_is_seen_as_a_dome(formed, pulled):
+    camera = view.figure(formed).layout.scene.camera
+    assert camera.eye.z < 0 > camera.up.z
+    assert view.figure(pulled).layout.scene.camera.eye.z > 0
+
+
+def test_lines_lie_near_the_sheet(formed):
+    nodes = formed.positions()
+    for trace in view.figure(formed).data[1:]:
+        points = np.column_stack([trace.x, trace.y, trace.z])
+        points = points[~np.isnan(points).any(1)]
+        away = np.linalg.norm(points[:, None] - nodes, axis=2).min(1)
+        assert 0 < away.max() < 2.0
+
+
+def test_words(formed, pulled):
+    words = view.words(formed)
+    assert "hemisphere-45" in words
+    assert f"{np.abs(formed.shear_angle).max():.1f}°" in words
+    assert words.endswith(", certified")
+    assert "not certified: collapsed" in view.words(pulled)
+
+
+def test_refusals(formed, monkeypatch, tmp_path):
+    with pytest.raises(qf.InputError, match="cannot write to"):
+        view.save(formed, tmp_path / "none" / "view.html")
+    monkeypatch.setattr(view, "find_spec", lambda name: None)
+    with pytest.raises(qf.InputError, match=r"quasiform\[report\]"):
+        view.figure(formed)
+
+
+@pytest.mark.skipif(program() is None, reason="no Chromium on this machine")
+def test_browser_tells_the_shear_angle_under_the_pointer(formed, tmp_path):
+    pytest.importorskip("websocket")
+    file = view.save(formed, tmp_path / "view.html")
+    with opened(file, tmp_path / "profile", 800, 600) as page:
+        page.wait("document.querySelector('#sheet canvas') && document.querySelector('#sheet').on")
+        page.value(
+            "window.seen = []; document.querySelector('#sheet').on('plotly_hover', e => "
+            "window.seen.push([e.points[0].pointNumber, e.points[0].customdata[0]]))"
+        )
+        left, top, width, height = page.box("#sheet")
+        page.probe(left + 0.47 * width, top + 0.5 * height, "window.seen.length")
+        triangle, gamma = json.loads(page.value("JSON.stringify(window.seen[0])"))
+        assert gamma == pytest.approx(formed.shear_angle[triangle], abs=1e-4)
+        assert not page.errors
+        assert page.requests == [file.resolve().as_uri()]

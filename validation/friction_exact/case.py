@@ -1,0 +1,147 @@
+"""A strip over a drum and a strip between plates against Coulomb's closed forms."""
+
+import numpy as np
+
+import quasiform as qf
+from quasiform import theory
+from quasiform.energy.bending import Bending
+from quasiform.energy.contact import Contact
+from quasiform.energy.friction import Friction
+from quasiform.energy.membrane import Membrane
+from quasiform.energy.weight import GRAVITY, ToolWeight
+from quasiform.tool import Plane, bar, flipped
+
+LOAD, RADIUS, LEAD, WIDTH = 20.0, 50.0, 25.0, 10.0  # N, mm
+
+
+def values() -> dict[str, float]:
+    """Pulls over dead loads, forces over Coulomb's, and what both spend on sliding."""
+    found = {}
+    for wrap, friction in ((90, 0.0), (90, 0.157), (90, 0.3), (45, 0.157), (180, 0.157)):
+        run = qf.solve(_capstan(friction, float(wrap), size=2.5), estimate=False)
+        exact = theory.capstan_ratio(friction, np.radians(wrap))
+        found[f"capstan {wrap} deg, mu={friction:g}: pull over e^(mu phi)"] = (
+            run.force / LOAD / exact
+        )
+    run = qf.solve(_capstan(0.157, 90.0, size=5.0), estimate=False)
+    exact = theory.capstan_ratio(0.157, np.pi / 2)
+    found["capstan 90 deg, mu=0.157, size 5: pull over e^(mu phi)"] = run.force / LOAD / exact
+    for mass, friction in ((5.0, 0.157), (20.0, 0.157), (5.0, 0.4)):
+        run = qf.solve(_strip(mass, friction, 2.0), estimate=False)
+        limit = theory.strip_friction(friction, mass)
+        found[f"strip {mass:g} kg, mu={friction:g}: force over 2 mu m g"] = run.force / limit
+        found[f"strip {mass:g} kg, mu={friction:g}: energy balance"] = run.energy_balance
+    # far below the reach of the elastic stick: the strip is held and does not creep
+    run = qf.solve(_strip(5.0, 0.157, 2e-4), increment=2e-5, estimate=False)
+    force = run.history["force_N"]
+    found["strip that sticks: force over 2 mu m g"] = run.force / theory.strip_friction(0.157, 5.0)
+    found["strip that sticks: force not in proportion to the pull"] = float(
+        np.abs(np.diff(force) / force[1] - 1).max()
+    )
+    return found
+
+
+class EndLoad:
+    """Dead load along -x, shared by some nodes."""
+
+    name = "end load"
+
+    def __init__(self, nodes: np.ndarray, load: float) -> None:
+        self.dofs = 3 * np.asarray(nodes)[:, None]
+        self.share = load / len(nodes)
+
+    def energy(self, x: np.ndarray) -> np.ndarray:
+        return self.share * x[self.dofs[:, 0]]
+
+    def gradient(self, x: np.ndarray) -> np.ndarray:
+        return np.full(self.dofs.shape, self.share)
+
+    def hessian(self, x: np.ndarray, convex: bool) -> np.ndarray:
+        return np.zeros((len(self.dofs), 1, 1))
+
+
+def _capstan(friction: float, wrap: float, size: float) -> qf.Scene:
+    """A strip over a fixed drum: dead load on one straight end, the other one pulled 3 mm along."""
+    fabric = qf.Fabric()
+    mid = RADIUS + fabric.thickness / 2
+    phi = np.radians(wrap)
+    arc = mid * phi
+    length = 2 * LEAD + arc
+    blank = qf.rectangle(length, WIDTH, size, centre=(length / 2, 0.0))
+    n = len(blank.nodes)
+    s = blank.nodes[:, 0] - LEAD
+    angle = np.clip(s / mid, 0.0, phi)
+    before, beyond = np.minimum(s, 0.0), np.maximum(s - arc, 0.0)
+    wrapped = np.column_stack(
+        [
+            mid * np.sin(angle) + before + beyond * np.cos(phi),
+            blank.nodes[:, 1],
+            mid * np.cos(angle) - beyond * np.sin(phi),
+        ]
+    )
+    x0 = np.append(wrapped.ravel(), 0.0)
+    contact = Contact(blank, fabric, qf.Tool("drum", bar(RADIUS), friction=friction), 3 * n)
+    loaded = np.flatnonzero(blank.nodes[:, 0] < 1e-9)
+    pulled = np.flatnonzero(blank.nodes[:, 0] > length - 1e-9)
+    fixed = np.zeros(len(x0), dtype=bool)
+    fixed[3 * n] = True
+    fixed[3 * loaded + 1] = fixed[3 * loaded + 2] = True
+    fixed[(3 * pulled[:, None] + np.arange(3)).ravel()] = True
+    drive = np.zeros(len(x0))
+    drive[3 * pulled], drive[3 * pulled + 2] = np.cos(phi), -np.sin(phi)
+    terms = [Membrane(blank, fabric, 3), Bending(blank, fabric), contact, EndLoad(loaded, LOAD)]
+    if friction:
+        terms.append(Friction(contact, x0))
+    return qf.Scene(
+        name="capstan",
+        blank=blank,
+        fabric=fabric,
+        dim=3,
+        terms=terms,
+        x0=x0,
+        fixed=fixed,
+        drive=drive,
+        travel=3.0,
+        increment=1.0,
+        rows=1.0,
+        resting=LOAD,
+    )
+
+
+def _strip(mass: float, friction: float, pull: float) -> qf.Scene:
+    """A strip on a fixed plate under a loose one with weight, pulled at one end."""
+    fabric = qf.Fabric()
+    blank = qf.rectangle(100.0, 50.0, 10.0)
+    n, t0, load = len(blank.nodes), fabric.thickness, 1e3 * GRAVITY * mass
+    plates = [
+        qf.Tool("table", Plane(), friction=friction),
+        qf.Tool("plate", flipped(Plane()), t0, "free", friction, mass),
+    ]
+    contacts = [Contact(blank, fabric, plate, 3 * n + i) for i, plate in enumerate(plates)]
+    sunk = contacts[1].depth_under(load, blank.areas.sum())
+    flat = np.column_stack([blank.nodes, np.full(n, t0 / 2 - sunk)])
+    x0 = np.append(flat.ravel(), [0.0, t0 - 2 * sunk])
+    pulled = np.flatnonzero(blank.nodes[:, 0] > 50.0 - 1e-9)
+    fixed = np.zeros(len(x0), dtype=bool)
+    fixed[3 * n] = True
+    fixed[3 * pulled] = fixed[3 * pulled + 1] = True
+    drive = np.zeros(len(x0))
+    drive[3 * pulled] = 1.0
+    return qf.Scene(
+        name="strip",
+        blank=blank,
+        fabric=fabric,
+        dim=3,
+        terms=[
+            *(Membrane(blank, fabric, 3), Bending(blank, fabric), *contacts),
+            *(Friction(contact, x0) for contact in contacts),
+            ToolWeight(load, 3 * n + 1),
+        ],
+        x0=x0,
+        fixed=fixed,
+        drive=drive,
+        travel=pull,
+        increment=0.5,
+        rows=0.5,
+        resting=load,
+    )
