@@ -30,6 +30,7 @@ from .relaxation import relax
 
 FloatArray = np.ndarray
 SHORTEST = 1 / 64  # of the largest increment
+SHORTEST_RELAXED = 1 / 8  # the same of dynamic relaxation alone, which gains little by it
 CREEPING = 1 / 4  # of the largest increment: from there on down proximal steps are tried
 MOST_INCREMENTS = 10_000
 WEIGHED = 5e-3  # of the work to come: what an increment may miss by the trapezoidal rule
@@ -166,7 +167,7 @@ def follow(
         raise InputError(f"increment must be at least {least:g}, got {settings.increment:g}")
     largest = min(settings.increment or scene.increment, scene.travel)
     rows = settings.increment or scene.rows
-    shortest = SHORTEST * largest
+    shortest = (SHORTEST if settings.method == "newton" else SHORTEST_RELAXED) * largest
     reason = ""
     # where tools are about to touch, the first response is the most curved
     step = largest / 16 if settings.method == "newton" and scene.contacts else largest

@@ -135,6 +135,16 @@ class Equilibrium:
         floor = LEAST_FORCE if certified else 0.02 * scene.resting + LEAST_FORCE
         return float(total / max(abs(self.force(g if driven is None else driven)), floor))
 
+    @property
+    def at_end(self) -> bool:
+        """Whether the travel is at its end."""
+        return self.travel >= self.scene.travel * (1 - 1e-12)
+
+    @property
+    def goal(self) -> float:
+        """Residual that is asked for: on the way a looser one where friction has to settle."""
+        return self.tolerance * (1.0 if self.at_end or not self.scene.frictions else LOOSER)
+
     def worst(self, g: FloatArray) -> str:
         """Where the residual is largest, in words."""
         r = np.where(self.scene.fixed, 0.0, g)[: self.scene.n_nodal].reshape(-1, self.scene.dim)
@@ -343,9 +353,7 @@ class Equilibrium:
         NotConvergedError
         """
         frictions = self.scene.frictions
-        at_end = self.travel >= self.scene.travel * (1 - 1e-12)
-        passes = 60 if at_end else 12
-        goal = self.tolerance * (1.0 if at_end or not frictions else LOOSER)
+        passes, goal = 60 if self.at_end else 12, self.goal
         inner = max(goal, 0.1) if frictions else goal
         used, fresh = [], []  # normal forces that friction was solved with, and those then found
         for i in range(passes):
@@ -360,7 +368,7 @@ class Equilibrium:
             if residual < (3 if i < 8 else 8) * goal:
                 return x
             inner = max(goal, 0.2 * residual) if frictions else goal
-            if not at_end and i >= 6 and residual < self.carried:
+            if not self.at_end and i >= 6 and residual < self.carried:
                 self.carried_on += 1
                 return x
             fresh.append(np.concatenate([[0.0], *(term.limit for term in frictions)]))

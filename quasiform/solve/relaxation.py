@@ -25,7 +25,7 @@ def relax(
     x: FloatArray,
     motion: FloatArray,
     tolerance: float | None = None,
-    max_iterations: int = 100_000,
+    max_iterations: int = 40_000,
     refresh_every: int = 200,
 ) -> tuple[FloatArray, float]:
     """Relax a state to equilibrium after a motion of the prescribed degrees of freedom.
@@ -38,7 +38,7 @@ def relax(
     motion : (n_dofs,) array
         Motion of the prescribed degrees of freedom, spread over the first `RAMP` iterations.
     tolerance : float, optional
-        Residual relative to the driving force; that of `equilibrium` if not given.
+        Residual relative to the driving force; the goal of `equilibrium` if not given.
     max_iterations : int
     refresh_every : int
         Iterations between updates of the masses and of lagged friction.
@@ -54,7 +54,7 @@ def relax(
     NotConvergedError
     """
     scene, potential = equilibrium.scene, equilibrium.potential
-    tolerance = tolerance or equilibrium.tolerance
+    tolerance = tolerance or equilibrium.goal
     free = ~scene.fixed
     v = np.zeros_like(x)
     kinetic_before = damped = 0.0

@@ -34,7 +34,7 @@ from quasiform.result import package_version
 from .scenes import CASES, SPAN
 from .settings import DEFAULT, Cell, Setting
 
-LIMIT = 300.0  # s of processor time of a cell; beyond it is a hang
+LIMIT = 400.0  # s of processor time of a cell; beyond it is a hang
 PATIENCE = 4.0  # times that by the wall clock, for a cell that waits and does not work
 # what has no part in a solution: a change there leaves the cells as they are
 APART = ("cli", "compare", "files", "identification", "journal", "plot", "progress", "theory")

@@ -55,7 +55,7 @@ class Setting:
 DEFAULT = Setting(estimate=True)
 _ONE = replace(DEFAULT, estimate=False)
 SHAKEN = 0.01  # mm
-RELAXED = "coarse"  # some forty times the work of Newton's method: on the coarse mesh
+RELAXED = "coarse"  # some hundred times the work of Newton's method: coarse mesh, few increments
 SETTINGS: dict[str, Setting] = {
     "default": DEFAULT,
     **{f"increment-{mm}": replace(_ONE, increment=float(mm)) for mm in (1, 2, 5, 10, 20)},
@@ -67,7 +67,7 @@ SETTINGS: dict[str, Setting] = {
     "friction-0.5": replace(_ONE, friction=0.5),
     "exact": replace(_ONE, convex="never"),
     "convex": replace(_ONE, convex="always"),
-    "relaxation": replace(_ONE, method="relaxation", size=RELAXED),
+    "relaxation": replace(_ONE, method="relaxation", size=RELAXED, increment=20.0),
     "perturbed": replace(_ONE, perturbation=SHAKEN),
     "friction-0.5+increment-20": replace(_ONE, friction=0.5, increment=20.0),
     "contact-10+fine": replace(_ONE, contact=10.0, size="fine"),
