@@ -71,7 +71,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print("quasiform: not enough memory: choose a larger --size", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print("quasiform: interrupted: no result was written", file=sys.stderr)
+        print("quasiform: interrupted: only what was written before is kept", file=sys.stderr)
         return 3
 
 
@@ -93,16 +93,18 @@ def _solve(arguments: argparse.Namespace) -> int:
 
 def _resume(arguments: argparse.Namespace) -> int:
     journal = Journal(arguments.folder, resume=True)
-    recipe = journal.recipe or {}
-    if recipe.get("command") not in SCENES or not set(recipe) <= set(RECIPE):
+    recipe = journal.recipe if isinstance(journal.recipe, dict) else {}
+    if str(recipe.get("command")) not in SCENES or not set(recipe) <= set(RECIPE):
         raise InputError(
             f"{arguments.folder}: the run there was not started by a command; carry it on with "
             "solve(scene, out=..., resume=True)"
         )
-    given = argparse.Namespace(**recipe)
+    given = argparse.Namespace(**(dict.fromkeys(RECIPE) | recipe))
     try:
-        with chdir(given.directory):
+        with chdir(str(given.directory)):
             scene = SCENES[given.command](given)
+    except TypeError as error:
+        raise InputError(f"{arguments.folder}: not a record of a run ({error})") from error
     except OSError as error:
         raise InputError(f"{given.directory}: {error.strerror}") from error
     return _record(scene, given, journal)
@@ -120,7 +122,10 @@ def _record(scene: Scene, arguments: argparse.Namespace, journal: Journal) -> in
         else:
             result = solve(scene, callback, increment, linear=linear, out=journal)
     if result.status == "completed" and getattr(arguments, "seeds", None):
-        spread(result, range(1, arguments.seeds + 1))
+        try:
+            spread(result, range(1, arguments.seeds + 1))
+        except KeyboardInterrupt:
+            result.reason = "interrupted while perturbed starts were solved"
         journal.close(result)
     _say(_report(result))
     written = [name for name in FILES if (folder / name).exists()]

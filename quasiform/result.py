@@ -74,8 +74,8 @@ class Result:
         Work of the rescues (proximal steps, dynamic relaxation) on the way relative to the energy
         stored at the end. Their forces are in no state.
     snaps : list of dict
-        Where the sheet jumped to another state, and the energy this released: from_mm, to_mm,
-        released_mJ.
+        Where the sheet jumped to another state, and the energy this released, estimated from the
+        open balance of that increment: from_mm, to_mm, released_mJ.
     collapse : dict or None
         Where and when a triangle first passed 85 degrees or turned over.
     solve_s : float
@@ -356,7 +356,7 @@ class Result:
             signs.append(f"{saddles} saddle{'s were' if saddles > 1 else ' was'} left on the way")
         if self.snaps:
             signs.append(
-                f"the sheet jumped {len(self.snaps)} times, first near "
+                f"the sheet jumped {len(self.snaps)} time{'s' * (len(self.snaps) > 1)}, first near "
                 f"{self.snaps[0]['to_mm']:.4g} mm"
             )
         lift = self.wrinkles["flange_lift_mm"]
@@ -531,7 +531,8 @@ class Result:
         since : int
             First of the states along the travel whose mesh is written.
         """
-        summary = json.dumps(self.summary(), indent=2, allow_nan=False)
+        table = self.summary()
+        summary = json.dumps(table, indent=2, allow_nan=False, default=np.generic.item)
         (folder / "summary.json").write_text(summary + "\n", encoding="utf-8")
         with (folder / "history.csv").open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)

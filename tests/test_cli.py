@@ -503,7 +503,9 @@ def test_an_interrupted_run_leaves_what_was_there(capsys, here, monkeypatch, pla
     )
     capsys.readouterr()
     assert main([*OAT, "--out", "out", "--force"]) == 3
-    assert "quasiform: interrupted: no result was written\n" in capsys.readouterr().err
+    assert (
+        "quasiform: interrupted: only what was written before is kept\n" in capsys.readouterr().err
+    )
     assert contents(here / "out") == before
     assert main([*OAT, "--out", "new/folder"]) == 3
     assert [path.name for path in here.iterdir()] == ["out"]

@@ -32,7 +32,9 @@ FloatArray = np.ndarray
 SHORTEST = 1 / 64  # of the largest increment
 SHORTEST_RELAXED = 1 / 8  # the same of dynamic relaxation alone, which gains little by it
 CREEPING = 1 / 4  # of the largest increment: from there on down proximal steps are tried
+MOST_RELAXED = 60_000  # iterations of a run by dynamic relaxation alone
 MOST_INCREMENTS = 10_000
+ESTIMATING = "interrupted while the error of the mesh was estimated"
 WEIGHED = 5e-3  # of the work to come: what an increment may miss by the trapezoidal rule
 
 
@@ -134,18 +136,23 @@ def solve(
         `resume` for one that holds no such run.
     """
     settings = Settings(increment, method, linear, tolerance, convex, perturbation, seed)
+    if resume and (out is None or isinstance(out, Journal)):
+        raise InputError("resume needs the folder of a run as `out`")
     journal = out if isinstance(out, Journal) or out is None else Journal(out, resume=resume)
     result = follow(scene, settings, callback, journal)
     if estimate and not result.reason and scene.resized:
         coarser: list[Result] = []
-        # too coarse to be built, or interrupted: the result stands with what there is
-        with suppress(InputError, KeyboardInterrupt):
+        try:
             for size in (2 * scene.size, 4 * scene.size):
                 if size > scene.coarsest and coarser:
                     break
-                coarser.insert(0, follow(scene.resized(size), settings))
+                coarser.insert(0, follow(scene.resized(size), settings, partial=False))
                 if coarser[0].reason:
                     break
+        except InputError:  # too coarse to be built: the result stands with what there is
+            pass
+        except KeyboardInterrupt:
+            result.reason = ESTIMATING
         result.judge(coarser)
     if journal:
         journal.close(result)
@@ -157,8 +164,12 @@ def follow(
     settings: Settings,
     callback: Callable[[Progress], None] | None = None,
     journal: Journal | None = None,
+    partial: bool = True,
 ) -> Result:
-    """Follow the travel on one mesh, from its start or from where a journal's run has come to."""
+    """Follow the travel on one mesh, from its start or from where a journal's run has come to.
+
+    An interrupted run is returned as far as it came or, with `partial` off, raised.
+    """
     clock = time.perf_counter()
     run = Run(Equilibrium(scene, settings.linear, settings.tolerance, settings.convex), settings)
     equilibrium = run.equilibrium
@@ -174,11 +185,13 @@ def follow(
     if journal and journal.held:
         step, gone = journal.restore(run)
         clock -= gone
+        reason = run.ended
     else:
         try:
             x = run.start()
         except NotConvergedError as error:
             x, reason = scene.x0, f"at the start: {error}"
+            run.ended = reason
             run.back_to(x, 0.0)
         run.open(x)
         run.keep()
@@ -211,12 +224,14 @@ def follow(
             step = max(0.5 * min(step, target - s), shortest)
             continue
         except KeyboardInterrupt:
-            run.back_to(run.x, s)
+            if not partial:
+                raise
+            run.back_to(run.x, run.travel)
             reason = f"interrupted between {s:.4g} and {target:.4g} of {scene.travel:.4g}"
             break
         s = run.travel
         if lost := scene.lost(run.x):
-            reason = f"at {s:.4g} of {scene.travel:.4g}: {lost}"
+            reason = run.ended = f"at {s:.4g} of {scene.travel:.4g}: {lost}"
         solves = equilibrium.linear_solves - before
         if solves <= 200:  # a snap takes as many at any step
             step = min((2.0 if solves <= 30 else 1.5) * step, largest)
@@ -259,6 +274,7 @@ class Run:
         self.snaps: list[dict[str, float]] = []
         self.doubt = (-np.inf, np.inf)  # target and gap of an increment that was too coarse
         self.collapse: dict[str, Any] | None = None
+        self.ended = ""  # why there is no way on from here, for a run that is carried on too
 
     def count(self, rung: str) -> None:
         self.rescues[rung] = self.rescues.get(rung, 0) + 1
@@ -279,7 +295,7 @@ class Run:
                     self.back_to(self.scene.x0, 0.0)
                     self.count("dynamic relaxation")
                     x = self._solve(self._relaxed(self.scene.x0, 0.0, 1e-2, 5000))
-            self._commit(x)
+            self.equilibrium.accept(x)
         return x
 
     def open(self, x: FloatArray, s: float = 0.0) -> None:
@@ -302,7 +318,7 @@ class Run:
         NotConvergedError
         """
         x = self._solve(x)
-        self._commit(x)
+        self.equilibrium.accept(x)
         return x
 
     def advance(self, target: float, rungs: list[Rung], weigh: bool) -> None:
@@ -334,16 +350,18 @@ class Run:
             self.damped, self.doubt = damped, (target, gap)
             raise _TooCoarseError
         # what a jump releases does not fall with the increment as the error of the rule does
-        jumped = coarse and target <= tried and gap > 0.5 * missed
+        jumped = target <= tried and gap > 0.5 * missed > 0
         jumped |= self.rescues.get("saddle left", 0) > saddles or self.damped > damped
-        if jumped and gap > 0:
+        # over a longer increment the gap is the error of the rule as well
+        short = target - s <= self.scene.increment / 16 * (1 + 1e-6)
+        if coarse and jumped and short and gap > 0:
             self.snaps.append({"from_mm": s, "to_mm": target, "released_mJ": gap})
         else:
             self.gap += gap
         self.x, self.travel, self.entry = moved, target, entry
         self.work += work
         self.increments += 1
-        self._commit(moved)
+        self.equilibrium.accept(moved)
         if self.collapse is None:
             self.collapse = self.scene.collapsed(moved, target)
 
@@ -351,6 +369,10 @@ class Run:
         """Newton's method, then each rung with Newton's method after it."""
         x, s = self.x, self.travel
         if self.settings.method == "relaxation":
+            if self.equilibrium.relaxed > MOST_RELAXED:
+                raise NotConvergedError(
+                    f"dynamic relaxation alone has used {MOST_RELAXED} iterations", x, np.inf
+                )
             still = np.zeros_like(x)
             return self._leave_saddles(
                 self._relaxed(x, target), lambda x: relax(self.equilibrium, x, still)[0]
@@ -381,7 +403,9 @@ class Run:
         """Add the perturbation; each increment has its own noise."""
         if not self.settings.perturbation:
             return x
-        noise = np.random.default_rng([self.settings.seed, self.increments]).normal(size=len(x))
+        noise = np.random.default_rng(
+            [self.settings.seed, round(1e6 * self.equilibrium.travel)]
+        ).normal(size=len(x))
         loose = ~self.scene.fixed & (np.arange(len(x)) < self.scene.n_nodal)
         shaken = x + self.settings.perturbation * np.where(loose, noise, 0.0)
         return x if self.equilibrium.turns_over(x, shaken) else shaken
@@ -413,10 +437,6 @@ class Run:
             self.count("saddle left")
             x = settle(equilibrium.downhill(x, 1e-3 * 2**i))
         return x
-
-    def _commit(self, x: FloatArray) -> None:
-        for term in self.scene.remembering:
-            term.commit(x)
 
     def _entry(self, x: FloatArray, s: float) -> Entry:
         scene = self.scene
@@ -467,10 +487,6 @@ class Run:
         """Result of the states kept, the last of them the end."""
         x, equilibrium = self.states[-1].x, self.equilibrium
         g = equilibrium.potential.gradient(x)
-        negative = None
-        if equilibrium.solver.inertia:
-            with suppress(NotConvergedError):  # a stopped run may have no tangent
-                negative, _ = equilibrium.factor(x, convex=False)
         own = {
             "convex tangent": equilibrium.convex_taken,
             "friction carried on": equilibrium.carried_on,
@@ -489,7 +505,7 @@ class Run:
             energy_balance=abs(self.gap) / max(abs(self.work), 1e-12),
             stabilisation=self.damped / max(abs(self.entry.stored), 1e-12),
             snaps=self.snaps,
-            negative_pivots=negative,
+            negative_pivots=equilibrium.certify(x),
             collapse=self.collapse,
         )
 

@@ -13,7 +13,9 @@ from __future__ import annotations
 
 import io
 import json
+from dataclasses import asdict
 from pathlib import Path
+from shutil import rmtree
 from typing import TYPE_CHECKING, Any
 from zipfile import BadZipFile
 
@@ -28,7 +30,8 @@ if TYPE_CHECKING:
 
 FloatArray = np.ndarray
 KEPT = ("travel", "increments", "work", "gap", "damped", "rescues", "snaps", "collapse")
-COUNTED = ("travel", "linear_solves", "solve_s", "carried_on", "convex_taken")
+KEPT += ("doubt", "ended")
+COUNTED = ("travel", "linear_solves", "solve_s", "carried_on", "convex_taken", "relaxed")
 
 
 class Journal:
@@ -67,6 +70,8 @@ class Journal:
             self._read()
         else:
             check_folder(out, force=force)
+        for left in self.folder.glob(".new-*"):  # by a run that was killed
+            rmtree(left, ignore_errors=True)
 
     def _read(self) -> None:
         path = self.folder / RESUME
@@ -77,7 +82,7 @@ class Journal:
                 arrays = {name: file[name] for name in file.files}
             self.held = {**json.loads(str(arrays.pop("head"))), "arrays": arrays}
             self.recipe = self.held["recipe"]
-        except (OSError, ValueError, KeyError, BadZipFile, EOFError) as error:
+        except (OSError, ValueError, KeyError, TypeError, BadZipFile, EOFError) as error:
             raise InputError(f"{path}: not a record of a run ({error})") from error
 
     def record(self, run: Run, step: float, elapsed: float) -> None:
@@ -109,6 +114,7 @@ class Journal:
         head = {
             "recipe": self.recipe,
             "parameters": run.scene.parameters,
+            "settings": asdict(run.settings),
             "step": step,
             "elapsed": elapsed,
             "run": {name: getattr(run, name) for name in KEPT},
@@ -119,7 +125,7 @@ class Journal:
         stream = io.BytesIO()
         np.savez(
             stream,
-            head=np.array(json.dumps(head)),
+            head=np.array(_json(head)),
             x=run.x,
             g=run.equilibrium.potential.gradient(run.x),
             states=np.array([state.x for state in states]),
@@ -136,14 +142,27 @@ class Journal:
         Raises
         ------
         InputError
-            If the scene is another one.
+            If the scene or the settings are others, or the record is damaged.
         """
+        try:
+            return self._restored(run)
+        except InputError:
+            raise
+        except (KeyError, TypeError, AttributeError, IndexError, ValueError) as error:
+            raise InputError(f"{self.folder / RESUME}: not a record of a run ({error})") from error
+
+    def _restored(self, run: Run) -> tuple[float, float]:
         held, arrays, scene = self.held, self.held["arrays"], run.scene
         other = InputError(
             f"{self.folder}: the run there is of another input: scene, material or program have "
             "changed since"
         )
-        given = json.loads(json.dumps(scene.parameters))
+        given = json.loads(_json(scene.parameters))
+        settings = json.loads(_json(asdict(run.settings)))
+        if changed := [name for name in settings if settings[name] != held["settings"][name]]:
+            raise InputError(
+                f"{self.folder}: the run there was made with another {', '.join(changed)}"
+            )
         if held["parameters"] != given or arrays["x"].shape != scene.x0.shape:
             raise other
         run.x = arrays["x"]
@@ -151,15 +170,18 @@ class Journal:
             State(row[0], x, row[1], int(row[2]), dict(zip(scene.measures, row[3:], strict=True)))
             for x, row in zip(arrays["states"], arrays["rows"].tolist(), strict=True)
         ]
-        for name, value in held["run"].items():
-            setattr(run, name, value)
-        for name, value in held["equilibrium"].items():
-            setattr(run.equilibrium, name, value)
+        for name in KEPT:
+            setattr(run, name, held["run"][name])
+        for name in COUNTED:
+            setattr(run.equilibrium, name, held["equilibrium"][name])
         for i, term in enumerate(scene.remembering):
             term.recall(_parts(arrays, f"term {i} "))
         g = run.equilibrium.potential.gradient(run.x)
         if not np.allclose(g, arrays["g"], rtol=1e-9, atol=1e-9 * np.abs(arrays["g"]).max()):
             raise other
+        run.equilibrium.certify(run.x)  # as the run had done: the next steps are the same ones
+        for name in COUNTED:
+            setattr(run.equilibrium, name, held["equilibrium"][name])
         run.reopen(*held["entry"], _parts(arrays, "rubbing "))
         self._rows = len(run.states)
         return held["step"], held["elapsed"]
@@ -194,6 +216,10 @@ def _memory(run: Run) -> dict[str, FloatArray] | None:
     for i, (force, place) in enumerate(run.entry.rubbing):
         arrays |= {f"rubbing {i} force": force, f"rubbing {i} place": place}
     return arrays
+
+
+def _json(content: Any) -> str:
+    return json.dumps(content, default=np.generic.item)
 
 
 def _parts(arrays: dict[str, FloatArray], prefix: str) -> dict[str, FloatArray]:

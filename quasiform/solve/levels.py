@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -31,7 +30,7 @@ from ..checks import InputError, check_number
 from ..energy.contact import Contact
 from ..result import Result, State
 from ..scene import Scene
-from .increments import Progress, Run, Settings, follow
+from .increments import ESTIMATING, Progress, Run, Settings, follow
 from .journal import Journal
 from .newton import Equilibrium, NotConvergedError
 
@@ -90,6 +89,7 @@ def refine(
     clock = time.perf_counter()
     settings = Settings(increment, linear=linear, tolerance=tolerance)
     journal = out if isinstance(out, Journal) or out is None else Journal(out, resume=resume)
+    clock -= journal.held.get("elapsed", 0.0) if journal else 0.0
     if _rebuilt_alike(scene):
         result = _refined(scene, callback, accuracy, settings, journal)
     else:
@@ -139,8 +139,12 @@ def _refined(
     result = levels[-1]
     result.judge(levels[:-1])
     if len(levels) == 1 and not result.reason:
-        with suppress(InputError):  # too coarse to be built: the result stands without an estimate
-            result.judge([follow(scene.resized(2 * scene.size), settings)])
+        try:
+            result.judge([follow(scene.resized(2 * scene.size), settings, partial=False)])
+        except InputError:  # too coarse to be built: the result stands without an estimate
+            pass
+        except KeyboardInterrupt:
+            result.reason = ESTIMATING
     return result
 
 

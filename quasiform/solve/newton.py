@@ -72,6 +72,8 @@ class Equilibrium:
         How often it did.
     convex_taken : int
         How often it did on demand.
+    relaxed : int
+        Iterations of dynamic relaxation so far.
     max_iterations : int
         Newton iterations of one solve.
     """
@@ -86,6 +88,7 @@ class Equilibrium:
     carried: float = 2e-2
     carried_on: int = 0
     convex_taken: int = 0
+    relaxed: int = 0
     max_iterations: int = 400
     potential: Potential = field(init=False)
     solver: LinearSolver = field(init=False)
@@ -226,6 +229,25 @@ class Equilibrium:
         _, load = self.factor(x, True, motion, stress)
         return False, load
 
+    def accept(self, x: FloatArray) -> None:
+        """Commit x to the terms with memory; their tangent is another one from there on.
+
+        It is factorised at once, so that a run that is carried on from here goes the same way.
+        """
+        if not self.scene.remembering:
+            return
+        for term in self.scene.remembering:
+            term.commit(x)
+        self._factored = None
+        self.certify(x)
+
+    def certify(self, x: FloatArray) -> int | None:
+        """Negative pivots of the exact tangent at x; None where nothing tells."""
+        if self.solver.inertia:
+            with suppress(NotConvergedError):  # a stopped run may have no tangent
+                return self.factor(x, convex=False)[0]
+        return None
+
     def predict(self, x: FloatArray, travel: float) -> FloatArray:
         """Move the prescribed degrees of freedom to `travel` and the others along the tangent."""
         motion = self.motion_to(x, travel)
@@ -277,6 +299,7 @@ class Equilibrium:
         tolerance = tolerance or self.tolerance
         max_iterations = max_iterations or self.max_iterations
         convex_left = taken = 0
+        self._factored = None  # what was lagged, or the bed, may be another one
         stress, self._foreseen = self._foreseen, None
         energies: list[float] = []
         for _ in range(max_iterations):

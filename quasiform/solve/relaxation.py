@@ -60,6 +60,7 @@ def relax(
     kinetic_before = damped = 0.0
     ramp = RAMP if motion.any() else 0
     for iteration in range(max_iterations):
+        equilibrium.relaxed += 1
         if iteration < ramp:
             x = x + motion / ramp
         if iteration % (refresh_every if iteration >= ramp else RAMP // 20) == 0:

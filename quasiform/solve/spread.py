@@ -49,7 +49,8 @@ def spread(
     known = {"increment", "method", "linear", "tolerance", "convex"}
     given = {name: value for name, value in base.settings.items() if name in known}
     runs = [base] + [
-        follow(base.scene, Settings(**given, perturbation=amplitude, seed=seed)) for seed in seeds
+        follow(base.scene, Settings(**given, perturbation=amplitude, seed=seed), partial=False)
+        for seed in seeds
     ]
     ended = [run for run in runs if run.states[-1].travel == base.states[-1].travel]
     found = [run.quantities | _numbers(run.wrinkles) for run in ended]
