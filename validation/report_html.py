@@ -236,6 +236,9 @@ def _attention(done: list[Case]) -> str:
     ):
         found = [(case, row) for case in done for row in case.rows if row.state in states]
         body = _rows(found) if found else f"<p>{empty}</p>"
+        if found and states == (AWAITED,):  # many, and the same words in most of them
+            words = f"{len(found)} rows wait for numbers that are not published; nothing is judged"
+            body = f"<details><summary>{words}</summary>{body}</details>"
         parts.append(f"<h3>{title}</h3>{body}")
     return "".join(parts)
 
