@@ -13,6 +13,7 @@ from .blank import Blank, rectangle
 from .checks import InputError
 from .compare import Comparison, compare
 from .experiments import cantilever, off_axis_tension, picture_frame
+from .export import FlatPattern, Handover, abaqus_deck, export, flat_pattern
 from .forming import forming
 from .identification import Identification, identify
 from .material import Fabric, TabulatedLaw, ThreeStageLaw
@@ -26,6 +27,8 @@ __all__ = [
     "Blank",
     "Comparison",
     "Fabric",
+    "FlatPattern",
+    "Handover",
     "Identification",
     "InputError",
     "Journal",
@@ -35,8 +38,11 @@ __all__ = [
     "TabulatedLaw",
     "ThreeStageLaw",
     "Tool",
+    "abaqus_deck",
     "cantilever",
     "compare",
+    "export",
+    "flat_pattern",
     "forming",
     "identify",
     "off_axis_tension",

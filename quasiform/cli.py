@@ -25,6 +25,10 @@ from .compare import FILES as COMPARISON_FILES
 from .compare import compare
 from .compare.comparison import ALIGN, STANDINGS
 from .experiments import off_axis_tension
+from .export import FORMATS, abaqus_deck, export, flat_pattern
+from .export.fibres import AXES
+from .export.handover import FILES as HANDOVER_FILES
+from .export.pattern import FILES as PATTERN_FILES
 from .files import FILES, INCREMENTS, check_folder
 from .forming import forming
 from .identification import Identification, identify
@@ -172,6 +176,60 @@ def _compare(arguments: argparse.Namespace) -> int:
     return 0 if comparison.held else 1
 
 
+def _export(arguments: argparse.Namespace) -> int:
+    if arguments.deck:
+        return _deck(arguments)
+    source = Path(arguments.source)
+    kind = "pattern" if arguments.trim is not None else arguments.to
+    folder = arguments.out or _unused(_case(f"{source.resolve().name}-{kind}"))
+    names = PATTERN_FILES if arguments.trim is not None else HANDOVER_FILES
+    check_folder(folder, force=arguments.force, names=names)
+    if arguments.trim is not None:
+        pattern = flat_pattern(
+            source, arguments.trim, within=arguments.within, scale=arguments.scale
+        )
+        _say(f"writing to {folder}")
+        pattern.save(folder, force=arguments.force)
+        _say(f"{len(pattern.trim)} lines to cut, {pattern.area:.6g} mm² inside")
+        notices, written = pattern.notices, PATTERN_FILES
+    else:
+        handed = export(
+            source,
+            arguments.to,
+            folder,
+            mesh=arguments.mesh,
+            scale=arguments.scale,
+            within=arguments.within,
+            axis=arguments.axis,
+            reference=arguments.reference,
+            force=arguments.force,
+        )
+        _say(f"writing to {folder}")
+        notices, written = handed.notices, handed.files
+    _say("\n".join(f"  note: {notice}" for notice in notices))
+    _say(f"files in {folder}: {', '.join(written)}")
+    return 0
+
+
+def _deck(arguments: argparse.Namespace) -> int:
+    scene = forming(
+        arguments.source,
+        arguments.orientation,
+        arguments.law,
+        arguments.size,
+        arguments.travel,
+        arguments.symmetry,
+    )
+    folder = arguments.out or _unused(_case(f"{scene.name}-deck"))
+    name = f"{_case(scene.name)}.inp"
+    check_folder(folder, force=arguments.force, names=(name,))
+    _say(f"writing to {folder}")
+    notices = abaqus_deck(scene, folder / name, force=arguments.force)
+    _say("\n".join(f"  note: {notice}" for notice in notices))
+    _say(f"files in {folder}: {name}")
+    return 0
+
+
 def _validate(arguments: argparse.Namespace) -> int:
     return _suite().validate(
         arguments.cases, quick=arguments.quick, out=arguments.out, force=arguments.force
@@ -216,6 +274,7 @@ def _arguments(argv: Sequence[str]) -> argparse.Namespace:
     _add_identify(commands)
     _add_validate(commands)
     _add_compare(commands)
+    _add_export(commands)
     _add_resume(commands)
     # the options before a command take no value, so the first word without a dash is the command
     command = next((word for word in argv if not word.startswith("-")), None)
@@ -437,6 +496,87 @@ def _add_compare(commands: Any) -> None:
     parser.set_defaults(run=_compare)
 
 
+def _add_export(commands: Any) -> None:
+    parser = commands.add_parser(
+        "export",
+        help="fibre directions for a structural code, a flat pattern, or a deck",
+        description="Hand a result over: fibre directions by element (--to), a flat pattern of a "
+        "trim line (--trim); or write an Abaqus/Explicit deck of a scene (--deck).",
+        allow_abbrev=False,
+    )
+    parser.add_argument(
+        "source",
+        metavar="DIR|SCENE",
+        help=f"folder of a result; with --deck {', '.join(built_in())} or FILE.toml",
+    )
+    what = parser.add_mutually_exclusive_group(required=True)
+    what.add_argument(
+        "--to",
+        type=_one_of(*FORMATS),
+        metavar="|".join(FORMATS),
+        help="; ".join(f"{name}: {text}" for name, text in FORMATS.items()),
+    )
+    what.add_argument(
+        "--trim",
+        metavar="FILE.csv|edge|die",
+        help="closed line x, y, z (or x, y: seen along z), the sheet's edge, or the die's opening",
+    )
+    what.add_argument("--deck", action="store_true", help="an Abaqus/Explicit deck of a scene")
+    hand_over = parser.add_argument_group("with --to or --trim")
+    hand_over.add_argument(
+        "--mesh",
+        type=_path,
+        metavar="FILE",
+        help="structural mesh (.inp, .vtu, ...) that the directions are mapped onto (the formed)",
+    )
+    hand_over.add_argument(
+        "--scale",
+        type=_positive,
+        default=1.0,
+        metavar="FACTOR",
+        help="mm per unit of the mesh's or the line's lengths (1)",
+    )
+    hand_over.add_argument(
+        "--within",
+        type=_positive,
+        metavar="MM",
+        help="what is farther is off the sheet (of a mesh: the spacing; of a line: the thickness)",
+    )
+    hand_over.add_argument(
+        "--axis",
+        type=_one_of(*AXES),
+        default="warp",
+        metavar="|".join(AXES),
+        help="calculix: what local 1 is (warp)",
+    )
+    hand_over.add_argument(
+        "--reference",
+        type=_direction,
+        default=(1.0, 0.0, 0.0),
+        metavar="X,Y,Z",
+        help="radioss, optistruct: direction that angles run from (1,0,0)",
+    )
+    deck = parser.add_argument_group("with --deck")
+    deck.add_argument(
+        "--orientation", type=_degrees, metavar="DEG", help="angle of the warp to x (the scene's)"
+    )
+    _add_law(deck, None, "the scene's")
+    deck.add_argument(
+        "--size", type=_positive, metavar="MM", help="spacing of fibre lines (the scene's, or 5)"
+    )
+    deck.add_argument(
+        "--travel", type=_positive, metavar="MM", help="travel of the punch (the scene's)"
+    )
+    deck.add_argument(
+        "--symmetry",
+        type=_one_of("auto", "none"),
+        metavar="auto|none",
+        help="a half or a quarter where everything is mirrored, or always the whole (auto)",
+    )
+    _add_out(parser)
+    parser.set_defaults(run=_export)
+
+
 def _add_validate(commands: Any) -> None:
     parser = commands.add_parser(
         "validate",
@@ -536,6 +676,14 @@ def _planes(text: str) -> tuple[str, ...]:
     if planes not in (("x",), ("y",), ("x", "y"), ("y", "x")):
         raise argparse.ArgumentTypeError(f"expected x, y or x,y, got '{text}'")
     return planes
+
+
+def _direction(text: str) -> tuple[float, float, float]:
+    with suppress(ValueError):
+        x, y, z = (float(word) for word in text.split(","))
+        if any((x, y, z)) and isfinite(x + y + z):
+            return x, y, z
+    raise argparse.ArgumentTypeError(f"expected X,Y,Z of a direction, got '{text}'")
 
 
 def _area(text: str) -> tuple[str, tuple[tuple[float, float], float]]:

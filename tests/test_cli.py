@@ -695,7 +695,8 @@ def test_the_script_of_the_readme_runs(monkeypatch):
     (script,) = blocks("python")
     solved = []
 
-    def small(scene, callback=None):
+    def small(scene, callback=None, out=None, resume=False):
+        assert resume in (False, out == "run/")
         solved.append(scene.name)
         assert callback is None or callable(callback)
         return qf_solve(qf.off_axis_tension(size=40, displacement=1), callback)
@@ -704,7 +705,7 @@ def test_the_script_of_the_readme_runs(monkeypatch):
     monkeypatch.setattr(qf, "solve", small)
     monkeypatch.setattr(qf, "refine", lambda scene, accuracy: small(scene))
     exec(script, {})
-    assert solved == ["oat-45", "hemisphere-45", "hemisphere-0"]
+    assert solved == ["oat-45", "hemisphere-45", "hemisphere-0", "box-45", "box-45"]
     assert FILES <= set(contents(Path("out")))
 
 
@@ -715,3 +716,41 @@ def test_continuous_integration_runs_the_test_command_of_the_readme():
     assert command == (
         "python3 -m venv .venv && .venv/bin/pip install '.[test]' && .venv/bin/python -m pytest"
     )
+
+
+# Hand-over
+
+
+def test_export_hands_over_what_a_run_left(here, capsys, undrawn):
+    assert main([*FORM, "--out", "run"]) == 0
+    capsys.readouterr()
+    assert main(["export", "run", "--to", "calculix"]) == 0
+    said = capsys.readouterr().out
+    assert "writing to run-calculix" in said
+    assert "note: one ply is handed over" in said
+    assert {p.name for p in Path("run-calculix").iterdir()} == {
+        *("mesh.inp", "fibres.inp", "part.inp", "handover.txt")
+    }
+    assert main(["export", "run", "--trim", "die", "--out", "cut"]) == 0
+    assert {p.suffix for p in Path("cut").iterdir()} == {".dxf", ".svg", ".txt"}
+    assert main(["export", "hemisphere", "--deck", "--size", "38", "--out", "deck"]) == 0
+    assert [p.suffix for p in Path("deck").iterdir()] == [".inp"]
+    assert "not run" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["run"], "one of the arguments --to --trim --deck is required"),
+        (["run", "--to", "calculx"], "did you mean 'calculix'?"),
+        (["run", "--to", "csv"], "run: no such folder of a result"),
+        (["run", "--to", "csv", "--reference", "0,0,0"], "expected X,Y,Z of a direction"),
+        (["hemispere", "--deck"], "did you mean 'hemisphere'?"),
+    ],
+)
+def test_export_refuses_in_one_line(options, words, here, capsys):
+    assert main(["export", *options]) == 2
+    error = capsys.readouterr().err
+    assert words in error
+    assert error.count("\n") == 1
+    assert not list(here.iterdir())

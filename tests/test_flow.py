@@ -23,8 +23,8 @@ FLOW = """
     solve
     experiments forming theory
     plot
-    identification compare export progress study view
-    report
+    identification compare progress study view
+    export report
     cli
     __main__
 """
