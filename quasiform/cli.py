@@ -7,9 +7,11 @@ Exit status: 0 the goal was reached; 1 `compare` found a band missed; 2 wrong in
 from __future__ import annotations
 
 import argparse
+import csv
 import os
 import re
 import sys
+import webbrowser
 from collections.abc import Callable, Sequence
 from contextlib import chdir, suppress
 from itertools import count
@@ -20,6 +22,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
+from . import completion, doctor, forecast, pictures, saved, view
 from .checks import InputError, check_number, suggestion
 from .compare import FILES as COMPARISON_FILES
 from .compare import compare
@@ -29,7 +32,7 @@ from .export import FORMATS, abaqus_deck, export, flat_pattern
 from .export.fibres import AXES
 from .export.handover import FILES as HANDOVER_FILES
 from .export.pattern import FILES as PATTERN_FILES
-from .files import FILES, INCREMENTS, check_folder
+from .files import FILES, INCREMENTS, check_folder, replaced
 from .forming import forming
 from .identification import Identification, identify
 from .identification.campaign import KINDS, METHODS, Campaign, load
@@ -87,6 +90,12 @@ def _solve(arguments: argparse.Namespace) -> int:
     scene = SCENES[arguments.command](arguments)
     if arguments.dry_run:
         _say(_describe(scene))
+        one_mesh = getattr(arguments, "size", None) is not None
+        seeds = getattr(arguments, "seeds", None) or 0
+        found = forecast.meshes(scene, one_mesh, arguments.linear, seeds)
+        _say(f"  expected time: {forecast.words(found)}")
+        if getattr(arguments, "accuracy", None):
+            _say("  and longer where --accuracy asks for a finer mesh than that")
         return 0
     recipe = {name: value for name, value in vars(arguments).items() if name in RECIPE}
     recipe["directory"] = str(Path.cwd())
@@ -230,6 +239,64 @@ def _deck(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _plot(arguments: argparse.Namespace) -> int:
+    runs = [saved.read(folder) for folder in arguments.folders]
+    if arguments.travel is not None:
+        runs = [run.near(arguments.travel) for run in runs]
+    rows = pictures.table(runs)
+    if arguments.table:
+        _say(_across(rows))
+        return 0
+    pictures.check_animation(arguments.animate)
+    one = f"{_case(runs[0].label)}-pictures" if len(runs) == 1 else "pictures"
+    folder = arguments.out or _unused(one)
+    check_folder(folder, force=arguments.force, names=pictures.FILES)
+    _say(f"writing to {folder}")
+    with replaced(folder, force=arguments.force, names=pictures.FILES) as staging:
+        notes = pictures.save(runs, staging, arguments.only, arguments.scale, arguments.animate)
+        with (staging / "table.csv").open("w", newline="", encoding="utf-8") as file:
+            csv.writer(file).writerows(rows)
+    _say("\n".join([_across(rows), *(f"  note: {note}" for note in notes)]))
+    written = [name for name in pictures.FILES if (folder / name).exists()]
+    _say(f"files in {folder}: {', '.join(written)}")
+    return 0
+
+
+def _view(arguments: argparse.Namespace) -> int:
+    run = saved.read(arguments.folder)
+    if arguments.travel is not None:
+        run = run.near(arguments.travel)
+    path = arguments.out or _unused(_case(run.label), ".html")
+    if path.exists() and not arguments.force:
+        raise InputError(f"{path} is there already: choose another, or replace it with --force")
+    view.save(run, path)
+    _say(view.words(run))
+    _say(f"file: {path}")
+    if arguments.open and not webbrowser.open(path.resolve().as_uri()):
+        raise InputError(f"no browser was found: open {path} yourself")
+    return 0
+
+
+def _new(arguments: argparse.Namespace) -> int:
+    path = arguments.file
+    if path.suffix != ".toml":
+        raise InputError(f"{path}: expected the name of a .toml file")
+    if path.exists() and not arguments.force:
+        raise InputError(f"{path} is there already: choose another, or replace it with --force")
+    template = (Path(__file__).parent / "new.toml").read_text(encoding="utf-8")
+    try:
+        path.write_text(template.replace("NAME", _case(path.stem)), encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"cannot write to {path}: {error.strerror or error}") from error
+    _say(f"file: {path}\nlook at it: quasiform form {path} --dry-run")
+    return 0
+
+
+def _doctor(arguments: argparse.Namespace) -> int:
+    _say("\n".join(f"{name:<24}{state}" for name, state in doctor.examine()))
+    return 0
+
+
 def _validate(arguments: argparse.Namespace) -> int:
     return _suite().validate(
         arguments.cases, quick=arguments.quick, out=arguments.out, force=arguments.force
@@ -276,6 +343,11 @@ def _arguments(argv: Sequence[str]) -> argparse.Namespace:
     _add_compare(commands)
     _add_export(commands)
     _add_resume(commands)
+    _add_plot(commands)
+    _add_view(commands)
+    _add_new(commands)
+    _add_doctor(commands)
+    _add_completion(commands)
     # the options before a command take no value, so the first word without a dash is the command
     command = next((word for word in argv if not word.startswith("-")), None)
     if command is not None and command not in commands.choices:
@@ -459,7 +531,7 @@ def _add_compare(commands: Any) -> None:
         ("--travel", "MM", "where to compare (the largest travel of both)"),
         ("--reference-travel", "MM", "of the reference's last state, if it does not tell"),
         ("--within", "MM", "points farther than this from the other sheet are not compared"),
-        ("--band-angle", "DEG", "largest difference of the shear angle on 95 % of the area"),
+        ("--band-angle", "DEG", "largest difference of the shear angle on 95 %% of the area"),
         ("--band-outline", "MM", "largest distance of the outlines"),
         ("--band-force", "PERCENT", "largest difference of the force"),
     ):
@@ -577,6 +649,105 @@ def _add_export(commands: Any) -> None:
     parser.set_defaults(run=_export)
 
 
+def _add_plot(commands: Any) -> None:
+    parser = commands.add_parser(
+        "plot",
+        help="pictures of results, one or several side by side, and their table",
+        description="Pictures of saved results on one scale of colours, marked where the fabric "
+        "locks, from the files of their folders; and a table of their key numbers.",
+        allow_abbrev=False,
+    )
+    parser.add_argument("folders", type=_path, nargs="+", metavar="DIR", help="folders of results")
+    parser.add_argument(
+        "--table", action="store_true", help="print the table alone; draw and write nothing"
+    )
+    parser.add_argument(
+        "--only",
+        type=_names_of(*pictures.PICTURES),
+        metavar="NAME,...",
+        help=f"some of {', '.join(pictures.PICTURES)} (all)",
+    )
+    parser.add_argument(
+        "--travel", type=_positive, metavar="MM", help="show the states nearest to it (the last)"
+    )
+    parser.add_argument(
+        "--scale",
+        type=_positive,
+        metavar="DEG",
+        help="end of the colour scale (round, beyond all shear angles and the locking angle)",
+    )
+    parser.add_argument(
+        "--animate",
+        type=_one_of("gif", "mp4"),
+        metavar="gif|mp4",
+        help="also write the travel as an animation (mp4 needs ffmpeg)",
+    )
+    _add_out(parser)
+    parser.set_defaults(run=_plot)
+
+
+def _add_view(commands: Any) -> None:
+    parser = commands.add_parser(
+        "view",
+        help="a result as a page to be turned, zoomed and probed in a browser",
+        description="Write a saved result as one HTML file that needs nothing else: turned, zoomed "
+        "and probed in any browser. Needs plotly (pip install 'quasiform[report]').",
+        allow_abbrev=False,
+    )
+    parser.add_argument("folder", type=_path, metavar="DIR", help="folder of a result")
+    parser.add_argument(
+        "--travel", type=_positive, metavar="MM", help="show the state nearest to it (the last)"
+    )
+    parser.add_argument(
+        "--out", type=_path, metavar="FILE.html", help="(a new one named after the folder)"
+    )
+    parser.add_argument("--force", action="store_true", help="replace the file in --out")
+    parser.add_argument("--open", action="store_true", help="open it in the browser")
+    parser.set_defaults(run=_view)
+
+
+def _add_new(commands: Any) -> None:
+    parser = commands.add_parser(
+        "new",
+        help="a commented scene file to start from",
+        description="Write a forming scene with comments: it runs as it is.",
+        allow_abbrev=False,
+    )
+    parser.add_argument("file", type=_path, metavar="FILE.toml", help="name of the scene")
+    parser.add_argument("--force", action="store_true", help="replace FILE.toml")
+    parser.set_defaults(run=_new)
+
+
+def _add_doctor(commands: Any) -> None:
+    parser = commands.add_parser(
+        "doctor",
+        help="versions, linear solvers, threads and optional parts that were found",
+        description="Tell what this installation has, a line each.",
+        allow_abbrev=False,
+    )
+    parser.set_defaults(run=_doctor)
+
+
+def _add_completion(commands: Any) -> None:
+    parser = commands.add_parser(
+        "completion",
+        help="a script that lets the shell complete commands and options",
+        description="Print the script; for good, put into ~/.bashrc the line: "
+        'eval "$(quasiform completion bash)"',
+        allow_abbrev=False,
+    )
+    parser.add_argument(
+        "shell", type=_one_of(*completion.SHELLS), metavar="SHELL", help="bash (zsh reads it too)"
+    )
+
+    def run(arguments: argparse.Namespace) -> int:
+        more = {"form": " ".join(built_in()), "completion": " ".join(completion.SHELLS)}
+        _say(completion.script(commands.choices, more))
+        return 0
+
+    parser.set_defaults(run=run)
+
+
 def _add_validate(commands: Any) -> None:
     parser = commands.add_parser(
         "validate",
@@ -612,7 +783,9 @@ def _add_common(parser: argparse.ArgumentParser) -> None:
     )
     _add_out(parser)
     parser.add_argument(
-        "--dry-run", action="store_true", help="print the model; solve and write nothing"
+        "--dry-run",
+        action="store_true",
+        help="print the model and the expected time; solve and write nothing",
     )
     parser.add_argument(
         "--linear",
@@ -669,6 +842,11 @@ def _kept(text: str) -> dict[str, float]:
                 f"expected NAME=VALUE,... such as I_lo=0.819, got '{entry}'"
             ) from None
     return kept
+
+
+def _names_of(*known: str) -> Callable[[str], tuple[str, ...]]:
+    check = _one_of(*known)
+    return lambda text: tuple(check(word.strip()) for word in text.split(","))
 
 
 def _planes(text: str) -> tuple[str, ...]:
@@ -728,9 +906,9 @@ def _case(name: str) -> str:
     return re.sub(r"[^\w.+-]+", "-", name).lstrip(".-") or "result"
 
 
-def _unused(name: str) -> Path:
+def _unused(name: str, suffix: str = "") -> Path:
     """First of name, name-2, name-3, ... that does not exist."""
-    names = (name if i == 1 else f"{name}-{i}" for i in count(1))
+    names = (f"{name}{suffix}" if i == 1 else f"{name}-{i}{suffix}" for i in count(1))
     return next(path for path in map(Path, names) if not os.path.lexists(path))
 
 
@@ -834,6 +1012,16 @@ def _identified(found: Identification) -> str:
     read = {notice for test in found.campaign.shear for notice in test.curve.notices}
     notes = [f"  note: {notice}" for notice in found.notices if notice not in read]
     return "\n".join(["identified, with 95 % intervals", *rows, *notes])
+
+
+def _across(rows: list[list[str]]) -> str:
+    """Return a table on its side: a line for each heading, a column for each row."""
+    columns = [[str(cell) for cell in row] for row in rows]
+    widths = [max(map(len, column)) for column in columns]
+    return "\n".join(
+        "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip()
+        for line in zip(*columns, strict=True)
+    )
 
 
 def _pairs(table: dict[str, Any], form: str) -> str:

@@ -19,6 +19,7 @@ from .blank import Blank
 from .checks import InputError
 from .plot import AZIMUTH, COLLAPSED, COLOURS, ELEVATION, SCALES, _fibre_lines
 from .result import Result
+from .saved import Saved
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
@@ -66,12 +67,12 @@ def available() -> bool:
     return find_spec("plotly") is not None
 
 
-def figure(result: Result, state: int = -1) -> Figure:
+def figure(result: Result | Saved, state: int = -1) -> Figure:
     """Build the view of a sheet.
 
     Parameters
     ----------
-    result : Result
+    result : Result, or a run read back from its folder
     state : int
         Which increment; the last one by default.
 
@@ -158,7 +159,7 @@ def figure(result: Result, state: int = -1) -> Figure:
     )
 
 
-def words(result: Result) -> str:
+def words(result: Result | Saved) -> str:
     """What is seen, in a line: scene, fabric, mesh, travel, shear angle, force, certificate."""
     scene, gamma, certified = result.scene, np.abs(result.shear_angle), result.certified
     return (
@@ -170,7 +171,7 @@ def words(result: Result) -> str:
     )
 
 
-def save(result: Result, path: str | Path, state: int = -1) -> Path:
+def save(result: Result | Saved, path: str | Path, state: int = -1) -> Path:
     """Write the view as one HTML file that needs nothing else.
 
     Raises
@@ -242,7 +243,7 @@ def _colours() -> list[tuple[float, str]]:
     ]
 
 
-def _is_bowl(result: Result, x: FloatArray) -> bool:
+def _is_bowl(result: Result | Saved, x: FloatArray) -> bool:
     """Whether tools have pushed the sheet below its rim: it is shown upside down, as a dome."""
     rim = np.concatenate(result.blank.outline)
     return bool(result.scene.contacts) and x[rim, 2].mean() > x[:, 2].mean()

@@ -582,7 +582,7 @@ def terminal_on_stderr(monkeypatch):
 STEP = qf.Progress(
     travel=20.0, goal=80.0, residual=2e-5, force=1.0, contacts=7, linear_solves=9, elapsed=65.0
 )
-WORDS = "travel 20 of 80, 1:05 gone, about 3:15 left, residual 2.0e-05, 7 contacts"
+WORDS = "travel 20 of 80, 1:05 gone, about 16:15 left, residual 2.0e-05, 7 contacts"
 
 
 def test_progress_is_a_line_in_a_log(capsys):

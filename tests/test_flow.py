@@ -23,7 +23,9 @@ FLOW = """
     solve
     experiments forming theory
     plot
-    identification compare progress study view
+    identification compare progress study forecast completion doctor
+    saved
+    view pictures
     export report
     cli
     __main__

@@ -186,7 +186,14 @@ def _areas(summary: dict) -> dict[str, tuple[tuple[float, float], float]]:
     return {}
 
 
-def _of_series(path: Path, reading: Reading) -> Run:
+def series(path: Path) -> list[tuple[float, Path]]:
+    """Times (travels) and files that a .pvd file names, in their order.
+
+    Raises
+    ------
+    InputError
+        If it is not readable, or names no file.
+    """
     try:
         found = [
             (float(entry.get("timestep", "nan")), path.parent / entry.get("file", ""))
@@ -196,7 +203,11 @@ def _of_series(path: Path, reading: Reading) -> Run:
         raise InputError(f"{path}: not a readable .pvd file: {error}") from error
     if not found:
         raise InputError(f"{path}: it names no file")
-    found.sort(key=lambda entry: entry[0])
+    return sorted(found, key=lambda entry: entry[0])
+
+
+def _of_series(path: Path, reading: Reading) -> Run:
+    found = series(path)
 
     def state(number: int) -> Sheet:
         return _sheet(found[number][1], read_fields(found[number][1])[-1], reading)[0]

@@ -1,0 +1,227 @@
+"""New scenes, the doctor, the expected time, completion by the shell, time left."""
+
+import re
+import shutil
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+import quasiform as qf
+from quasiform import doctor, forecast, scene_file
+from quasiform.cli import main
+from quasiform.progress import _words
+from quasiform.result import package_version
+from quasiform.solve.linear import SuperLU
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+# New
+
+
+def test_a_new_scene_runs_as_it_is_written(capsys):
+    assert main(["new", "my part.toml"]) == 0
+    assert main(["form", "my part.toml", "--dry-run"]) == 0
+    out = capsys.readouterr().out
+    assert "my-part-0: 625 nodes" in out
+    assert "NAME" not in Path("my part.toml").read_text(encoding="utf-8")
+    result = qf.solve(qf.forming("my part.toml", size=20, travel=10), estimate=False)
+    assert (result.status, result.areas.keys()) == ("completed", {"corner"})
+
+
+def test_all_that_is_left_out_of_a_new_scene_may_be_switched_on(here):
+    main(["new", "part.toml"])
+    text = (here / "part.toml").read_text(encoding="utf-8")
+    assert text.count("\n#: ") == 21
+    (here / "all.toml").write_text(text.replace("\n#: ", "\n"), encoding="utf-8")
+    file = scene_file.load("all.toml")
+    assert (file.gravity, file.symmetry, len(file.outline.interiors)) == (True, "none", 1)
+    assert [len(file.supports), len(file.grippers)] == [1, 1]
+    assert qf.forming("all.toml", size=20).travel == 40
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("new", "FILE.toml"),
+        ("new part", "expected the name of a .toml file"),
+        ("new there.toml", "there already"),
+        ("new none/part.toml", "cannot write to none/part.toml: No such file"),
+        ("new part.toml --forse", "did you mean '--force'?"),
+        ("completion fish", "unknown value 'fish'"),
+        ("doctor now", "unexpected argument 'now'"),
+    ],
+)
+def test_refusals(here, capsys, line, words):
+    (here / "there.toml").write_text("mine")
+    assert main(line.split()) == 2
+    out, err = capsys.readouterr()
+    assert (out, err.count("\n")) == ("", 1)
+    assert words in err
+    assert (here / "there.toml").read_text() == "mine"
+    assert main(["new", "there.toml", "--force"]) == 0
+
+
+# Doctor
+
+
+def test_doctor_tells_each_part_in_a_line(capsys):
+    assert main(["doctor"]) == 0
+    found = dict(
+        re.split(r"  +", line, maxsplit=1) for line in capsys.readouterr().out.splitlines()
+    )
+    assert found["quasiform"] == package_version()
+    solvers = [state for name, state in found.items() if name.startswith("linear solver")]
+    assert sum("is used" in state for state in solvers) == 1
+    assert found["linear solver superlu"].startswith("works")
+    used = qf.solve(qf.off_axis_tension(size=40, displacement=1), estimate=False).settings["linear"]
+    assert "is used" in found[f"linear solver {used}"]
+
+
+def test_doctor_tells_what_is_missing_or_broken(monkeypatch):
+    def broken(name, *rest):
+        if name == "pardiso":
+            raise OSError("libmkl_rt.so.2:\ncannot open")
+        return solver(name, *rest)
+
+    solver = doctor.linear_solver
+    monkeypatch.setattr(doctor, "linear_solver", broken)
+    monkeypatch.setattr(doctor, "find_spec", lambda name: None)
+    monkeypatch.setattr(doctor.shutil, "which", lambda name: None)
+    monkeypatch.setenv("MKL_NUM_THREADS", "3")
+    found = dict(doctor.examine())
+    assert "(libmkl_rt.so.2: cannot open)" in found["linear solver pardiso"]
+    assert "is used" in found["linear solver superlu"]
+    assert found["MKL_NUM_THREADS"] == "3"
+    assert found["plotly"].endswith("pip install 'quasiform[report]'")
+    assert found["ffmpeg"].startswith("missing")
+
+
+def test_doctor_does_not_trust_a_wrong_solution(monkeypatch):
+    solve = SuperLU.solve
+    monkeypatch.setattr(SuperLU, "solve", lambda self, b: -solve(self, b))
+    assert "its solution is wrong" in dict(doctor.examine())["linear solver superlu"]
+
+
+# Expected time
+
+
+def planned(scene, one_mesh, **named):
+    found = forecast.meshes(scene, one_mesh, **named)
+    return [(mesh.size, mesh.dofs, mesh.solves) for mesh in found]
+
+
+def test_expected_meshes_are_those_that_are_solved(monkeypatch):
+    monkeypatch.setattr(forecast, "_step", lambda *given: 1.0)
+    scene, coarse = (qf.forming("hemisphere", size=size, travel=10) for size in (18, 36))
+    dofs, coarse_dofs = ((~one.fixed).sum() for one in (scene, coarse))
+    path = 2 * forecast.WITH_TOOLS
+    scene.coarsest = 18.0
+    assert planned(scene, True) == [(18, dofs, path), (36, coarse_dofs, path)]
+    assert planned(scene, False) == planned(scene, True)  # it is the coarsest of the path already
+    assert planned(scene, True, seeds=2)[0][2] == 3 * path
+    scene.coarsest = 40.0
+    assert planned(scene, False) == [
+        (18, dofs, forecast.CARRIED),
+        (36, coarse_dofs, path),
+    ]
+    assert planned(scene, False, seeds=1)[1][2] == 2 * path
+    strip = qf.off_axis_tension(size=20, displacement=20)
+    assert planned(strip, True)[0][2] == 4 * forecast.IN_PLANE
+
+
+def test_expected_time_is_solves_by_their_time(capsys, monkeypatch):
+    found = (forecast.Mesh(5, 100, 40, 0.5), forecast.Mesh(10, 30, 100, 0.1))
+    monkeypatch.setattr(forecast, "meshes", lambda *given: found)
+    assert main(["form", "hemisphere", "--size", "30", "--dry-run"]) == 0
+    out = capsys.readouterr().out
+    assert "expected time: about 30 s on this machine" in out
+    assert "(9 s to 3 min; buckling takes longest), meshes of 5 and 10 mm\n" in out
+
+
+def test_expected_time_may_not_be_known(monkeypatch):
+    def singular(*given):
+        raise forecast.NotConvergedError("no stiffness", None, 0.0)
+
+    monkeypatch.setattr(forecast.Equilibrium, "factor", singular)
+    found = forecast.meshes(qf.off_axis_tension(size=40), True)
+    assert forecast.words(found).startswith("not known")
+
+
+def test_a_dry_run_leaves_the_scene_as_it_was():
+    scene = qf.forming("hemisphere", size=30, travel=5)
+    before = scene.x0.copy()
+    forecast.meshes(scene, True)
+    assert (scene.x0 == before).all()
+    (one, other) = (
+        qf.solve(s, estimate=False) for s in (scene, qf.forming("hemisphere", size=30, travel=5))
+    )
+    assert one.force == other.force
+
+
+# Completion
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="no bash on this machine")
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("fo", ["form"]),
+        ("form h", ["hemisphere"]),
+        ("form hemisphere --or", ["--orientation"]),
+        ("form hemisphere --linear s", ["superlu"]),
+        ("form hemisphere --law ", ["locking", "best-fit"]),
+        ("oat --or", []),
+        ("oat --size ", []),
+        ("completion ", ["bash", "--help"]),
+        ("plot --animate ", ["gif", "mp4"]),
+    ],
+)
+def test_bash_completes(here, capsys, words, expected):
+    assert main(["completion", "bash"]) == 0
+    (here / "script").write_text(capsys.readouterr().out)
+    given = ["quasiform", *words.split(" ")]
+    quoted = " ".join(f"'{word}'" for word in given)
+    asked = f"source ./script; COMP_WORDS=({quoted}); COMP_CWORD={len(given) - 1}; _quasiform; "
+    done = subprocess.run(
+        ["bash", "-uc", asked + 'printf "%s\\n" "${COMPREPLY[@]}"'],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stderr == ""
+    assert done.stdout.split() == expected
+
+
+def test_every_command_and_option_is_completed(capsys):
+    assert main(["completion", "bash"]) == 0
+    script = capsys.readouterr().out
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    commands = re.findall(r"^    (\w+) ", capsys.readouterr().out, re.M)
+    assert len(commands) > 8
+    for command in commands:
+        with pytest.raises(SystemExit):
+            main([command, "--help"])
+        options = set(re.findall(r"--[a-z][a-z-]*", capsys.readouterr().out.split("options:")[1]))
+        line = re.search(rf'^ +{command}\) words="(.*)" ;;$', script, re.M)[1].split()
+        assert {word for word in line if word.startswith("--")} <= options
+        assert len([word for word in line if word.startswith("--")]) > 0
+
+
+# Time left
+
+
+def test_time_left_runs_down_between_two_increments():
+    step = qf.Progress(40.0, 80.0, 1e-5, 1.0, 0, 9, 60.0)
+    assert "1:00 gone, about 3:00 left" in _words(step)  # the time grows as the square
+    assert "1:30 gone, about 2:30 left" in _words(step, 30.0)
+    assert "about 0:00 left" in _words(step, 300.0)
+    assert "left" not in _words(replace(step, travel=19.0))  # too early to tell
+    assert "left" not in _words(replace(step, travel=80.0))
