@@ -101,9 +101,13 @@ class Blank:
         return self.nodes[self.triangles].mean(1)
 
     def fibre_lines(self, family: str) -> MeshLine:
-        """Return all segments of the lines of "warp" or "weft" as a 1D scikit-fem mesh.
+        """Return all segments of the lines of a family as a 1D scikit-fem mesh.
 
         The coordinate is the arc length along the fibre; node numbers are those of the blank.
+
+        Parameters
+        ----------
+        family : "warp" or "weft"
         """
         along = self.warp if family == "warp" else self.weft
         legs = self.mesh.facets.T
@@ -235,6 +239,10 @@ def rectangle(
     mirror : tuple of "x" and "y"
         Mesh only the positive side of the planes x = 0, y = 0 (through the centre).
 
+    Returns
+    -------
+    Blank
+
     Raises
     ------
     InputError
@@ -291,6 +299,10 @@ def cut(
         Points that shall lie on a warp and a weft line.
     mirror : tuple of "x" and "y"
         Mesh only the positive side of the planes x = 0, y = 0.
+
+    Returns
+    -------
+    Blank
 
     Raises
     ------

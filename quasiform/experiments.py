@@ -201,8 +201,18 @@ def picture_frame(
     shear : float
         Shear angle at the end, degrees.
     law : str or Fabric
+        As in `off_axis_tension`.
     size : float
         Spacing of the fibre lines, mm.
+
+    Returns
+    -------
+    Scene
+
+    Raises
+    ------
+    InputError
+        For bad numbers, or a shear angle of 90 degrees and more.
     """
     fabric = fabric_of(law)
     check_number("side", side)
@@ -258,10 +268,20 @@ def cantilever(
     load : float
         Weight per area, N/mm²; its factor is raised from 0 to 1 as the travel.
     law : str or Fabric
+        As in `off_axis_tension`.
     size : float
         Spacing of the fibre lines, mm.
     family : "warp" or "weft"
         Fibres along the strip.
+
+    Returns
+    -------
+    Scene
+
+    Raises
+    ------
+    InputError
+        For bad numbers, or an unknown family.
     """
     fabric = fabric_of(law)
     for name, value in (("length", length), ("load", load), ("width", width), ("size", size)):

@@ -299,6 +299,7 @@ class Fabric:
     Parameters
     ----------
     name : str
+        It appears in results and pictures.
     shear : ThreeStageLaw or TabulatedLaw
         W6 as a function of I6, MPa.
     warp, weft : ThreeStageLaw

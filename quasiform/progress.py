@@ -24,6 +24,10 @@ def progress(step: Progress) -> None:
     """Show on stderr how far a run has come: `solve(scene, callback=progress)`.
 
     On a terminal one line is drawn over and over; elsewhere each increment prints a line.
+
+    Parameters
+    ----------
+    step : Progress
     """
     console = Console(stderr=True)
     if _draws(console):

@@ -47,7 +47,7 @@ class State:
     measures: dict[str, float]
 
 
-@dataclass
+@dataclass(repr=False)
 class Result:
     """A finished or stopped run.
 
@@ -59,15 +59,17 @@ class Result:
     reason : str
         Why the run stopped early; empty if it reached its goal.
     wall_s : float
-        Time of the solve alone.
+        Time of the solve alone, s.
     linear_solves, increments : int
+        How many it took: a count in units of the finest mesh.
     settings : dict
         How it was solved: increment, method, linear, tolerance, convex, perturbation, seed.
     rescues : dict of rung to count
+        What Newton's method alone did not do; see `solve.increments`.
     residual : float
         Sum of the nodal residuals at the end relative to the driving force, lags refreshed.
     energy_balance : float
-        |work in - stored - dissipated| / work in.
+        |work in - stored - dissipated| relative to the work in.
     negative_pivots : int or None
         Of the exact tangent at the end; None where the linear solver does not tell.
     stabilisation : float
@@ -113,6 +115,14 @@ class Result:
     shear_angle_error: FloatArray | None = None
     spread: dict[str, dict[str, float | bool]] = field(default_factory=dict)
     path: Result | None = None
+
+    def __repr__(self) -> str:
+        end = self.states[-1]
+        return (
+            f"<Result {self.scene.name}: {self.status} at {end.travel:.4g} of "
+            f"{self.scene.travel:.4g}, {len(self.scene.blank.triangles)} triangles, "
+            f"{end.force:.4g} N>"
+        )
 
     @property
     def status(self) -> str:
@@ -208,6 +218,11 @@ class Result:
         """Triangles whose shear angle should not be trusted, by reason; bool (n_triangles,) each.
 
         The cell field `doubt` adds 1, 2, 4, 8 for these in order.
+
+        Parameters
+        ----------
+        state : int
+            Which increment; the last one by default.
         """
         x, blank = self.states[state].x, self.blank
         _, _, _, source, _ = self.scene.whole
@@ -383,6 +398,11 @@ class Result:
 
         Left open where the coarse scene is another one (a user has added terms or changed the
         travel), stopped early, or where one of the two has collapsed.
+
+        Parameters
+        ----------
+        coarser : list of Result
+            Each of twice the size of the next.
         """
         levels = [self]
         for coarse in reversed(coarser):

@@ -27,13 +27,14 @@ MOST_TILT = 10.0  # degrees
 Unfolding = tuple[Blank, np.ndarray, FloatArray, np.ndarray, FloatArray]
 
 
-@dataclass
+@dataclass(repr=False)
 class Scene:
     """What is solved. Built by `experiments`, or by hand.
 
     Parameters
     ----------
     name : str
+        Of the case, and of its folder.
     blank : Blank
     fabric : Fabric
     dim : int
@@ -50,9 +51,9 @@ class Scene:
     travel : float
         Where to end (mm for a punch or a grip; 1 for a load factor).
     increment : float
-        Largest increment of travel when the program chooses.
+        Largest increment of travel when the program chooses, mm (or of the load factor).
     rows : float
-        History rows fall on multiples of this travel.
+        History rows fall on multiples of this travel, mm (or of the load factor).
     travel_name : str
         Column of the travel in the history.
     share : float
@@ -108,6 +109,13 @@ class Scene:
     turn: float = 0.0
     outputs: dict[str, bool] = field(default_factory=lambda: {"pictures": True, "increments": True})
 
+    def __repr__(self) -> str:
+        terms = ", ".join(term.name for term in self.terms)
+        return (
+            f"<Scene {self.name}: {len(self.blank.triangles)} triangles, "
+            f"{(~self.fixed).sum()} dofs, travel {self.travel:.4g}; {terms}>"
+        )
+
     @property
     def size(self) -> float:
         """Size of the mesh as the user gives it, mm."""
@@ -121,6 +129,13 @@ class Scene:
 
     def collapsed(self, x: FloatArray, travel: float) -> dict[str, Any] | None:
         """Where a triangle is sheared beyond 85 degrees or turned over, or None.
+
+        Parameters
+        ----------
+        x : (n_dofs,) array
+            Positions and rigid degrees of freedom, mm.
+        travel : float
+            At which this is so, mm.
 
         Returns
         -------

@@ -77,6 +77,7 @@ class Comparison:
     names : (str, str)
         Of the result and of the reference.
     rows : tuple of Row
+        One a difference, with its band if it has one.
     notes : tuple of str
         What was compared with what, and how.
     travel : float or None
@@ -129,6 +130,13 @@ class Comparison:
 
     def save(self, out: str | Path, *, force: bool = False) -> Path:
         """Write compare.json, compare.csv, compare.md, difference.vtu and difference.png.
+
+        Parameters
+        ----------
+        out : path
+            Folder; made if missing.
+        force : bool
+            Replace an existing comparison.
 
         Raises
         ------

@@ -41,6 +41,7 @@ class Handover:
     notices : tuple of str
         What they do not hold, and what was assumed.
     fibres : Fibres
+        Directions, thickness and areal weight by element.
     """
 
     folder: Path
@@ -82,7 +83,7 @@ def export(
     axis : "warp", "weft" or "bisector"
         What CalculiX' local 1 is.
     reference : (3,) floats
-        Direction from which the angles of DRAPE tables run.
+        Direction from which the angles of DRAPE tables run, in any unit of length.
     force : bool
         Whether to replace files of an earlier hand-over.
 

@@ -46,6 +46,7 @@ class FlatPattern:
     Parameters
     ----------
     name : str
+        Of the part, as written into the files.
     trim : list of (k, 2) arrays
         Lines to cut along, mm; a closed one repeats its first point.
     blank : list of (k, 2) arrays
@@ -53,6 +54,7 @@ class FlatPattern:
     along : (2, 2) array
         Flat unit vectors of warp (0°) and weft (90°).
     notices : tuple of str
+        What the pattern does not hold.
 
     Notes
     -----
@@ -76,6 +78,18 @@ class FlatPattern:
 
     def save(self, out: str | Path, *, force: bool = False) -> Path:
         """Write pattern.dxf, pattern.svg (both mm, 1:1) and pattern.txt (the notices).
+
+        Parameters
+        ----------
+        out : path
+            Folder; made if missing.
+        force : bool
+            Whether to replace an earlier pattern.
+
+        Returns
+        -------
+        path
+            The folder.
 
         Raises
         ------

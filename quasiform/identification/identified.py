@@ -41,6 +41,7 @@ class Identification:
     parameters : tuple of Parameter
         All that was identified, bending included.
     notices : tuple of str
+        What was found odd in the data, and what was made of it.
     """
 
     campaign: Campaign
@@ -52,6 +53,13 @@ class Identification:
 
     def save(self, out: str | Path, *, force: bool = False) -> Path:
         """Write material.toml, parameters.csv, stress.csv, summary.json and the picture.
+
+        Parameters
+        ----------
+        out : path
+            Folder; made if missing.
+        force : bool
+            Replace what was identified before.
 
         Raises
         ------

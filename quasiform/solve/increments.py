@@ -13,7 +13,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -40,7 +40,25 @@ WEIGHED = 5e-3  # of the work to come: what an increment may miss by the trapezo
 
 @dataclass(frozen=True)
 class Progress:
-    """What a callback is told after each increment."""
+    """What a callback is told after each increment.
+
+    Parameters
+    ----------
+    travel, goal : float
+        Where the run is and where it ends, mm (or the load factor).
+    residual : float
+        Sum of the nodal residuals relative to the driving force.
+    force : float
+        Driving force of the whole, N.
+    contacts : int
+        Points of the sheet that touch a tool.
+    linear_solves : float
+        So far; a count.
+    elapsed : float
+        Time so far, s.
+    measures : dict of str to float
+        What the history holds by increment, such as `shear_angle_max_deg`.
+    """
 
     travel: float
     goal: float
@@ -49,6 +67,10 @@ class Progress:
     contacts: int
     linear_solves: int
     elapsed: float
+    measures: dict[str, float] = field(default_factory=dict)
+
+
+Callback = Callable[[Progress], bool | str | None]
 
 
 @dataclass(frozen=True)
@@ -80,7 +102,7 @@ class Settings:
 
 def solve(
     scene: Scene,
-    callback: Callable[[Progress], None] | None = None,
+    callback: Callback | None = None,
     increment: float | None = None,
     method: Literal["newton", "relaxation"] = "newton",
     linear: str = "auto",
@@ -98,7 +120,8 @@ def solve(
     ----------
     scene : Scene
     callback : callable, optional
-        Told the `Progress` after each increment.
+        Told the `Progress` after each increment. It stops the run there by returning True, or the
+        reason in words. What it changes of the scene's terms counts from the next increment on.
     increment : float, optional
         Size of the increments in units of the travel; the scene's own choice if not given.
         A history row is kept for each; else rows fall on the scene's round values.
@@ -162,7 +185,7 @@ def solve(
 def follow(
     scene: Scene,
     settings: Settings,
-    callback: Callable[[Progress], None] | None = None,
+    callback: Callback | None = None,
     journal: Journal | None = None,
     partial: bool = True,
 ) -> Result:
@@ -239,10 +262,13 @@ def follow(
             run.keep()
         try:
             record()
-            if callback:
-                callback(run.progress(time.perf_counter() - clock))
+            told = callback(run.progress(time.perf_counter() - clock)) if callback else None
         except KeyboardInterrupt:
             reason = f"interrupted at {s:.4g} of {scene.travel:.4g}"
+            break
+        if told and not reason and s < scene.travel * (1 - 1e-12):
+            words = f": {told}" if isinstance(told, str) else ""
+            reason = f"stopped by the callback at {s:.4g} of {scene.travel:.4g}{words}"
     if run.states[-1].travel < run.travel:
         run.keep()
     return run.result(reason, time.perf_counter() - clock)
@@ -481,6 +507,7 @@ class Run:
             sum(int((c.penetration(self.x) > 0).sum()) for c in self.scene.contacts),
             self.equilibrium.linear_solves,
             elapsed,
+            {name: measure(self.x) for name, measure in self.scene.measures.items()},
         )
 
     def result(self, reason: str, wall: float) -> Result:

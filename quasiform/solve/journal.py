@@ -40,6 +40,7 @@ class Journal:
     Parameters
     ----------
     out : path
+        Folder of the run; made if missing.
     recipe : dict, optional
         What the scene is made from, in numbers and text, for `quasiform resume`.
     force : bool
@@ -87,6 +88,15 @@ class Journal:
 
     def record(self, run: Run, step: float, elapsed: float) -> None:
         """Write the run as it stands.
+
+        Parameters
+        ----------
+        run : Run
+            After a converged increment.
+        step : float
+            Size of the next increment, mm.
+        elapsed : float
+            Time so far, s.
 
         Raises
         ------
@@ -137,7 +147,19 @@ class Journal:
         return stream.getvalue()
 
     def restore(self, run: Run) -> tuple[float, float]:
-        """Put a run of the same scene where the recorded one was; the next step and the time gone.
+        """Put a run of the same scene where the recorded one was.
+
+        Parameters
+        ----------
+        run : Run
+            At its start.
+
+        Returns
+        -------
+        step : float
+            Size of the next increment, mm.
+        elapsed : float
+            Time of the recorded run, s.
 
         Raises
         ------
@@ -190,6 +212,10 @@ class Journal:
         """Write the result; a completed run cannot be carried on any more.
 
         Where it cannot be written, this becomes the `reason` of the result.
+
+        Parameters
+        ----------
+        result : Result
         """
         try:
             with added(self.folder) as staging:

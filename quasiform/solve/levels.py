@@ -14,7 +14,6 @@ differently on a finer mesh, the path is followed there too, and the result says
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -30,7 +29,7 @@ from ..checks import InputError, check_number
 from ..energy.contact import Contact
 from ..result import Result, State
 from ..scene import Scene
-from .increments import ESTIMATING, Progress, Run, Settings, follow
+from .increments import ESTIMATING, Callback, Run, Settings, follow
 from .journal import Journal
 from .newton import Equilibrium, NotConvergedError
 
@@ -42,7 +41,7 @@ CARRIED = 5.0  # mm: length of the last increment that friction starts from, at 
 
 def refine(
     scene: Scene,
-    callback: Callable[[Progress], None] | None = None,
+    callback: Callback | None = None,
     accuracy: float | None = None,
     increment: float | None = None,
     linear: str = "auto",
@@ -57,12 +56,12 @@ def refine(
     scene : Scene
         Its size is that of the end state; with `accuracy`, that of the first mesh to be judged.
     callback : callable, optional
-        Told the `Progress` of the path.
+        Told the `Progress` of the path, which it may stop, as in `solve`.
     accuracy : float, optional
         Halve the size until the estimated error of the 99th percentile of the shear angle is
         below it, degrees.
     increment : float, optional
-        Of the path.
+        Of the path, mm.
     linear : str
         Linear solver.
     tolerance : float
@@ -103,7 +102,7 @@ def refine(
 
 def _refined(
     scene: Scene,
-    callback: Callable[[Progress], None] | None,
+    callback: Callback | None,
     accuracy: float | None,
     settings: Settings,
     journal: Journal | None,
@@ -204,7 +203,7 @@ def _carry(
     scene: Scene,
     last: _Motion,
     path: Result,
-    callback: Callable[[Progress], None] | None,
+    callback: Callback | None,
     settings: Settings,
 ) -> tuple[Result, Result, _Motion]:
     """Solve the end of a scene from that of a coarser one; the path too where that fails.

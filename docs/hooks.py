@@ -1,0 +1,76 @@
+"""What the site needs beside Markdown: formulas as MathML, help texts, docstrings as Markdown.
+
+Everything is made when the site is built, so that its pages load nothing and need no script for
+their formulas.
+"""
+
+from __future__ import annotations
+
+import html
+import os
+import re
+from contextlib import redirect_stdout
+from io import StringIO
+from unittest.mock import patch
+
+import griffe
+from latex2mathml.converter import convert
+
+from quasiform import cli
+
+PRIMES = (
+    ("<mrow><mi>&#x02032;</mi><mi>&#x02032;</mi></mrow>", "<mo>&#x02033;</mo>"),
+    ("<mi>&#x02032;</mi>", "<mo>&#x02032;</mo>"),
+)
+FORMULA = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.DOTALL)
+
+
+def on_page_content(content: str, **_: object) -> str:
+    """Turn TeX into MathML, which browsers draw by themselves."""
+
+    def mathml(found: re.Match[str]) -> str:
+        display = "block" if found[1] == "div" else "inline"
+        tex = html.unescape(found[2]).strip().replace("''", r"^{\prime\prime}")
+        drawn = convert(tex, display=display)
+        if "<mi>&amp;</mi>" in drawn or "<mo>&amp;</mo>" in drawn or "\\" in drawn:
+            raise ValueError(f"the converter does not know all of {tex}")
+        for primes, as_one in PRIMES:  # one sign each, as high as fonts draw it
+            drawn = drawn.replace(primes, as_one)
+        return drawn
+
+    return FORMULA.sub(mathml, content)
+
+
+def on_page_markdown(markdown: str, **_: object) -> str:
+    """Put the help texts of the command line in their place, one section a command."""
+    if "<!-- help -->" not in markdown:
+        return markdown
+    overview = help_text()
+    sections = ["```text", overview, "```"]
+    for command in re.findall(r"^    (\w+) ", overview, re.MULTILINE):
+        sections += ["", f"## quasiform {command}", "", "```text", help_text(command), "```"]
+    return markdown.replace("<!-- help -->", "\n".join(sections))
+
+
+def help_text(*command: str) -> str:
+    """What `quasiform COMMAND --help` prints."""
+    said = StringIO()
+    with patch.dict(os.environ, {"COLUMNS": "82"}), redirect_stdout(said):
+        try:
+            cli.main([*command, "--help"])
+        except SystemExit as end:
+            if end.code:
+                raise
+    return said.getvalue().rstrip()
+
+
+class Markdown(griffe.Extension):
+    """Docstrings are numpydoc; what of their markup is not Markdown is turned into it."""
+
+    def on_instance(self, *, obj: griffe.Object, **_: object) -> None:
+        """Called for every object with the docstring as it stands in the source."""
+        if obj.docstring:
+            text = obj.docstring.value
+            text = re.sub(r"::$", ":", text, flags=re.MULTILINE)
+            text = re.sub(r"\[(\d)\]_", r"[\1]", text)
+            obj.docstring.value = re.sub(r"^\.\. \[(\d)\] ", r"\n[\1] ", text, flags=re.MULTILINE)
