@@ -1,6 +1,11 @@
-"""Profiles of the property-based tests: `--hypothesis-profile=thorough` for all of their cases."""
+"""One thread for linear algebra; `--hypothesis-profile=thorough` for all property-based cases."""
+
+import os
 
 from hypothesis import HealthCheck, settings
+
+for _library in ("OMP", "OPENBLAS", "MKL"):  # small matrices: a second thread only waits, and is
+    os.environ.setdefault(f"{_library}_NUM_THREADS", "1")  # waited for on a busy machine
 
 COMMON = {
     "derandomize": True,  # the same cases at every run
