@@ -221,14 +221,8 @@ def _export(arguments: argparse.Namespace) -> int:
 
 
 def _deck(arguments: argparse.Namespace) -> int:
-    scene = forming(
-        arguments.source,
-        arguments.orientation,
-        arguments.law,
-        arguments.size,
-        arguments.travel,
-        arguments.symmetry,
-    )
+    arguments.scene = arguments.source
+    scene = SCENES["form"](arguments)
     folder = arguments.out or _unused(_case(f"{scene.name}-deck"))
     name = f"{_case(scene.name)}.inp"
     check_folder(folder, force=arguments.force, names=(name,))

@@ -240,20 +240,25 @@ class Result:
         return [positions[loop] for loop in self.blank.outline]
 
     @property
+    def flange_lift(self) -> float:
+        """How far the sheet leaves the flat faces of fixed tools at the end, mm."""
+        x, lift = self.states[-1].x, 0.0
+        for contact in self.scene.contacts:
+            if contact.tool.motion == "fixed":
+                d, n, _ = contact.distance(contact.relative(x))
+                above = np.abs(n[:, 2]) > 0.99
+                if above.any():
+                    lift = max(lift, float((d - contact.reach - contact.points.sag)[above].max()))
+        return lift
+
+    @property
     def wrinkles(self) -> dict[str, float | None]:
         """How far the sheet leaves flat faces (mm), its largest curvature (1/mm), and its waves.
 
         The waves of each family of fibres off punch and die: how many lines, their wavelength (mm).
         """
         scene, x = self.scene, self.states[-1].x
-        found: dict[str, float | None] = {"flange_lift_mm": 0.0}
-        for contact in scene.contacts:
-            if contact.tool.motion == "fixed":
-                d, n, _ = contact.distance(contact.relative(x))
-                above = np.abs(n[:, 2]) > 0.99
-                if above.any():
-                    lift = float((d - contact.reach - contact.points.sag)[above].max())
-                    found["flange_lift_mm"] = max(found["flange_lift_mm"], lift)
+        found: dict[str, float | None] = {"flange_lift_mm": self.flange_lift}
         for term in scene.terms:
             if not isinstance(term, Bending):
                 continue
@@ -374,7 +379,7 @@ class Result:
                 f"the sheet jumped {len(self.snaps)} time{'s' * (len(self.snaps) > 1)}, first near "
                 f"{self.snaps[0]['to_mm']:.4g} mm"
             )
-        lift = self.wrinkles["flange_lift_mm"]
+        lift = self.flange_lift
         if lift > LIFTED * self.scene.fabric.thickness:
             signs.append(f"the flange lifts by {lift:.2f} mm")
         if scattered := [name for name, entry in self.spread.items() if not entry["robust"]]:
