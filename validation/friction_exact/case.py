@@ -18,21 +18,21 @@ def values() -> dict[str, float]:
     """Pulls over dead loads, forces over Coulomb's, and what both spend on sliding."""
     found = {}
     for wrap, friction in ((90, 0.0), (90, 0.157), (90, 0.3), (45, 0.157), (180, 0.157)):
-        run = qf.solve(_capstan(friction, float(wrap), size=2.5), estimate=False)
+        run = qf.solve(capstan(friction, float(wrap), size=2.5), estimate=False)
         exact = theory.capstan_ratio(friction, np.radians(wrap))
         found[f"capstan {wrap} deg, mu={friction:g}: pull over e^(mu phi)"] = (
             run.force / LOAD / exact
         )
-    run = qf.solve(_capstan(0.157, 90.0, size=5.0), estimate=False)
+    run = qf.solve(capstan(0.157, 90.0, size=5.0), estimate=False)
     exact = theory.capstan_ratio(0.157, np.pi / 2)
     found["capstan 90 deg, mu=0.157, size 5: pull over e^(mu phi)"] = run.force / LOAD / exact
     for mass, friction in ((5.0, 0.157), (20.0, 0.157), (5.0, 0.4)):
-        run = qf.solve(_strip(mass, friction, 2.0), estimate=False)
+        run = qf.solve(strip(mass, friction, 2.0), estimate=False)
         limit = theory.strip_friction(friction, mass)
         found[f"strip {mass:g} kg, mu={friction:g}: force over 2 mu m g"] = run.force / limit
         found[f"strip {mass:g} kg, mu={friction:g}: energy balance"] = run.energy_balance
     # far below the reach of the elastic stick: the strip is held and does not creep
-    run = qf.solve(_strip(5.0, 0.157, 2e-4), increment=2e-5, estimate=False)
+    run = qf.solve(strip(5.0, 0.157, 2e-4), increment=2e-5, estimate=False)
     force = run.history["force_N"]
     found["strip that sticks: force over 2 mu m g"] = run.force / theory.strip_friction(0.157, 5.0)
     found["strip that sticks: force not in proportion to the pull"] = float(
@@ -60,7 +60,7 @@ class EndLoad:
         return np.zeros((len(self.dofs), 1, 1))
 
 
-def _capstan(friction: float, wrap: float, size: float) -> qf.Scene:
+def capstan(friction: float, wrap: float, size: float) -> qf.Scene:
     """A strip over a fixed drum: dead load on one straight end, the other one pulled 3 mm along."""
     fabric = qf.Fabric()
     mid = RADIUS + fabric.thickness / 2
@@ -108,7 +108,7 @@ def _capstan(friction: float, wrap: float, size: float) -> qf.Scene:
     )
 
 
-def _strip(mass: float, friction: float, pull: float) -> qf.Scene:
+def strip(mass: float, friction: float, pull: float) -> qf.Scene:
     """A strip on a fixed plate under a loose one with weight, pulled at one end."""
     fabric = qf.Fabric()
     blank = qf.rectangle(100.0, 50.0, 10.0)

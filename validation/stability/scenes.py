@@ -22,6 +22,8 @@ from quasiform.energy.membrane import Membrane
 from quasiform.energy.weight import GRAVITY, ToolWeight
 from quasiform.tool import Plane, bar, flipped
 
+from ..friction_exact.case import EndLoad
+
 FloatArray = np.ndarray
 Build = Callable[[float, qf.Fabric], qf.Scene]
 Numbers = Callable[[qf.Result], dict[str, float]]
@@ -306,25 +308,6 @@ def block(size: float, fabric: qf.Fabric) -> qf.Scene:
         parameters={"size": size},
         resized=lambda size: block(size, fabric),
     )
-
-
-class EndLoad:
-    """Dead load along -x on some nodes: E = P/n Σ x."""
-
-    name = "end load"
-
-    def __init__(self, nodes: FloatArray, load: float) -> None:
-        self.dofs = 3 * nodes[:, None]
-        self.load = load / len(nodes)
-
-    def energy(self, x: FloatArray) -> FloatArray:
-        return self.load * x[self.dofs[:, 0]]
-
-    def gradient(self, x: FloatArray) -> FloatArray:
-        return np.full(self.dofs.shape, self.load)
-
-    def hessian(self, x: FloatArray, convex: bool) -> FloatArray:
-        return np.zeros((len(self.dofs), 1, 1))
 
 
 def fillet(size: float, fabric: qf.Fabric) -> qf.Scene:
