@@ -366,6 +366,9 @@ class Result:
             doubts.append(f"energy balance open by {100 * self.energy_balance:.1f} %")
         if self.collapse:
             doubts.append(f"collapsed from {self.collapse['travel_mm']:.4g} mm on")
+        given, own = self.settings.get("increment"), self.scene.increment
+        if given and self.scene.frictions and given > own * (1 + 1e-6):
+            doubts.append(f"friction follows its path in increments of {own:g} mm, not {given:g}")
         return "; ".join(doubts) if doubts else True
 
     @property

@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -64,6 +65,16 @@ def test_a_perturbed_start_ends_where_the_plain_one_does_but_not_on_its_path():
     for run in runs:
         assert run.force == pytest.approx(plain.force, rel=2e-3)
         assert run.certified is True
+
+
+def test_friction_is_not_certified_over_longer_increments_than_the_scenes_own():
+    part = qf.forming("hemisphere", size=15.0, travel=6.0)
+    rubbed = qf.solve(part, increment=6.0, estimate=False)
+    assert "friction follows its path in increments of 5 mm, not 6" in str(rubbed.certified)
+    assert "friction" not in str(qf.solve(part, increment=3.0, estimate=False).certified)
+    smooth = replace(qf.Fabric(), friction=0.0)
+    slides = qf.forming("hemisphere", size=15.0, travel=6.0, law=smooth)
+    assert "friction" not in str(qf.solve(slides, increment=6.0, estimate=False).certified)
 
 
 def test_spread_tells_what_is_robust():

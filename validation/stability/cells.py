@@ -38,7 +38,8 @@ LIMIT = 400.0  # s of processor time of a cell; beyond it is a hang
 PATIENCE = 4.0  # times that by the wall clock, for a cell that waits and does not work
 # what has no part in a solution: a change there leaves the cells as they are
 APART = ("cli", "compare", "files", "identification", "journal", "plot", "progress", "theory")
-APART += ("view", "report", "study", "export", "__main__", "levels")
+APART += ("view", "report", "study", "export", "__main__", "levels", "saved", "pictures")
+APART += ("forecast", "doctor", "completion", "cad_mesh", "spread")
 
 
 @dataclass(frozen=True)
