@@ -292,7 +292,7 @@ def _paint(
     if shaded:
         faces[:, :3] *= _shade(blank, P)[:, None]
     pitch = max(blank.size, np.ptp(blank.nodes, axis=0).max() / 20)
-    fibres, rim = _fibre_lines(blank, pitch), _rim(blank)
+    fibres, rim = fibre_lines(blank, pitch), _rim(blank)
     lines = np.vstack([fibres, rim])
     corners = np.vstack([blank.triangles, lines[:, [0, 1, 1]]])  # a segment is a flat triangle
     depth = P[corners, 2].mean(1)
@@ -329,7 +329,7 @@ def _shade(blank: Blank, P: FloatArray) -> FloatArray:
     return 0.55 + 0.5 * np.clip(n @ light, 0.0, 1.0)
 
 
-def _fibre_lines(blank: Blank, pitch: float) -> np.ndarray:
+def fibre_lines(blank: Blank, pitch: float) -> np.ndarray:
     """(n_segments, 2) nodes of every so many fibre lines, about `pitch` mm apart when flat."""
     kept = []
     families = (("warp", blank.weft), ("weft", blank.warp)) if blank.pairs is None else ()

@@ -17,7 +17,7 @@ import numpy as np
 
 from .blank import Blank
 from .checks import InputError
-from .plot import AZIMUTH, COLLAPSED, COLOURS, ELEVATION, SCALES, _fibre_lines
+from .plot import AZIMUTH, COLLAPSED, COLOURS, ELEVATION, SCALES, fibre_lines
 from .result import Result
 from .saved import Saved
 
@@ -128,7 +128,7 @@ def figure(result: Result | Saved, state: int = -1) -> Figure:
             )
         )
     extent = np.ptp(blank.nodes, axis=0).max()
-    fibres = _fibre_lines(blank, max(blank.size, extent / 20))
+    fibres = fibre_lines(blank, max(blank.size, extent / 20))
     outline = [np.append(loop, loop[0]) for loop in blank.outline]
     off = ABOVE * extent * _normals(blank, x)
     traces.append(_lines(go, x, off, fibres, "rgba(0,0,0,0.55)", 1.5, "fibres"))

@@ -194,7 +194,7 @@ def test_colour_scale_is_round_and_covers_the_sheet(results):
 
 def test_fibre_lines_are_whole_and_evenly_spaced():
     blank = qf.rectangle(300, 200, 5, orientation=30)
-    segments = plot._fibre_lines(blank, 15.0)
+    segments = plot.fibre_lines(blank, 15.0)
     step = np.diff(blank.nodes[segments], axis=1)[:, 0]
     weft = np.abs(step @ blank.weft) > np.abs(step @ blank.warp)
     apart = np.diff(np.unique((blank.nodes[segments[weft]].mean(1) @ blank.warp).round(3)))

@@ -37,9 +37,12 @@ from .settings import DEFAULT, Cell, Setting
 LIMIT = 400.0  # s of processor time of a cell; beyond it is a hang
 PATIENCE = 4.0  # times that by the wall clock, for a cell that waits and does not work
 # what has no part in a solution: a change there leaves the cells as they are
-APART = ("cli", "compare", "files", "identification", "journal", "plot", "progress", "theory")
-APART += ("view", "report", "study", "export", "__main__", "levels", "saved", "pictures")
-APART += ("forecast", "doctor", "completion", "cad_mesh", "spread")
+APART = {
+    *("__main__", "arguments", "cli", "completion", "doctor", "forecast", "progress"),
+    *("files", "journal", "saved", "plot", "pictures", "view", "report"),
+    *("compare", "export", "identification", "cad_mesh", "theory"),
+    *("levels", "spread"),
+}
 
 
 @dataclass(frozen=True)
@@ -281,7 +284,7 @@ def sources() -> str:
     paths = [
         path
         for path in sorted(folder.rglob("*.py"))
-        if not set(APART) & {*path.relative_to(folder).with_suffix("").parts}
+        if not APART & {*path.relative_to(folder).with_suffix("").parts}
         and path != folder / "__init__.py"
     ]
     here = Path(__file__)
