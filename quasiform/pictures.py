@@ -26,6 +26,7 @@ from .plot import (
     STYLE,
     WIDTH,
     _draw_triad,
+    _figure,
     _frame,
     _is_bowl,
     _outline,
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
 
 FloatArray = np.ndarray
 ABREAST = 3  # results in a row of pictures
+TALLEST = 4.6  # inches: width of axes beyond which a sheet is not drawn larger
 INKS = ("#000000", "#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00")
 STROKES = ("-", (0, (5, 2)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)))
 MARKS = "os^Dv"
@@ -101,7 +103,7 @@ def save(
         warnings.filterwarnings("ignore", message="Glyph")  # a name with letters the font lacks
         for name in only or PICTURES:
             figure = PICTURES[name](runs, labels, end, notes)
-            figure.savefig(Path(folder) / f"{name}.png", dpi=DPI)
+            figure.savefig(Path(folder) / f"{name}.png", dpi=DPI, bbox_inches="tight")
         if animate:
             _animate(runs, labels, end, Path(folder) / f"travel.{animate}")
     return notes
@@ -152,19 +154,35 @@ def _colour_scale(end: float) -> ScalarMappable:
     return ScalarMappable(Normalize(0, end), LinearSegmentedColormap.from_list(COLOURS, shades))
 
 
-def _grid(count: int, height: float, rows_each: int = 1) -> tuple[Figure, np.ndarray]:
-    """A figure of the text width with `rows_each` axes, one above the other, for each result."""
-    from matplotlib.figure import Figure
+def _grid(count: int, *frames: FloatArray, below: float = 0.8) -> tuple[Figure, np.ndarray]:
+    """A figure of the text width with axes for each of the frames, one above the other, by result.
 
+    Parameters
+    ----------
+    count : int
+        Results.
+    *frames : (n, 2 or more) arrays
+        Points that all results' axes of a kind have to hold, to the right and up.
+    below : float
+        Room for what goes below them all, inches.
+    """
     columns = min(count, ABREAST)
     blocks = -(-count // columns)
-    figure = Figure(figsize=(WIDTH, height * blocks + 0.3), layout="constrained")
-    figure.get_layout_engine().set(w_pad=0.06, h_pad=0.05)
-    axes = figure.subplots(blocks * rows_each, columns, squeeze=False)
-    axes = axes.reshape(blocks, rows_each, columns).transpose(0, 2, 1).reshape(-1, rows_each)
+    heights = [_height(frame, WIDTH / columns) for frame in frames]
+    figure = _figure((sum(heights) + 0.62) * blocks + below)
+    axes = figure.subplots(
+        blocks * len(frames), columns, squeeze=False, height_ratios=heights * blocks
+    )
+    axes = axes.reshape(blocks, len(frames), columns).transpose(0, 2, 1).reshape(-1, len(frames))
     for spare in axes[count:].ravel():
         spare.axis("off")
     return figure, axes[:count]
+
+
+def _height(frame: FloatArray, width: float) -> float:
+    """Height of axes that hold points and a bar below them, inches; wide ones are not too high."""
+    across, up = np.ptp(frame[:, :2], axis=0)
+    return min(width, TALLEST) * (up + 0.18 * max(across, up)) / (1.06 * max(across, 0.8 * up))
 
 
 def _seen_from(run: Saved) -> tuple[FloatArray, bool]:
@@ -180,12 +198,16 @@ def _common(runs: Sequence[Saved]) -> FloatArray:
     return np.vstack([run.positions() @ _seen_from(run)[0].T for run in runs])
 
 
-def _head(axes: Axes, label: str, run: Saved, *, force: bool = True) -> None:
+def _head(
+    axes: Axes, label: str, run: Saved, *, force: bool = True, turned_over: bool = False
+) -> None:
     gamma = np.abs(run.shear_angle)
     words = f"{run.scene.travel_name.removesuffix('_mm').replace('_', ' ')} "
     words += f"{run.states[-1].travel:.4g} mm, |γ| max {gamma.max():.1f}°"
     if force and np.isfinite(run.force):
         words += f"\nforce {round(run.force, 3) + 0.0:.4g} N"
+    if turned_over:
+        words += ", seen from below" if force else "\nseen from below"
     axes.set_title("\n".join(textwrap.wrap(label, 40)) + "\n" + words, parse_math=False)
 
 
@@ -215,15 +237,15 @@ def _shear_angles(
     from matplotlib.collections import LineCollection
 
     plane = all(run.scene.dim == 2 for run in runs)
-    figure, grid = _grid(len(runs), 2.9 if plane else 4.8, 1 if plane else 2)
     colours = _colour_scale(end)
     frame = _common(runs)
     plan = np.vstack(
         [points for run in runs for points in (run.positions()[:, :2], run.blank.nodes)]
     )
+    figure, grid = _grid(len(runs), *([plan] if plane else [frame, plan]))
     for axes, label, run in zip(grid, labels, runs, strict=True):
         x, blank = run.positions(), run.blank
-        _head(axes[0], label, run)
+        _head(axes[0], label, run, turned_over=_seen_from(run)[1])
         if not plane:
             _draw_in_space(axes[0], run, colours, frame)
         above = axes[-1]
@@ -255,13 +277,10 @@ def _draw_scale(figure: Figure, grid: np.ndarray, runs: Sequence[Saved], end: fl
 
 
 def _draw_in_space(axes: Axes, run: Saved, colours: ScalarMappable, frame: FloatArray) -> None:
-    view, turned_over = _seen_from(run)
-    P = run.positions() @ view.T
-    _paint(axes, run, P, colours, shaded=True)
+    view, _ = _seen_from(run)
+    _paint(axes, run, run.positions() @ view.T, colours, shaded=True)
     _frame(axes, frame)
     _draw_triad(axes, view, frame)
-    if turned_over:
-        axes.text(0.5, 1.0, "seen from below", transform=axes.transAxes, ha="center", va="top")
 
 
 def _at_nodes(run: Saved, values: FloatArray) -> FloatArray:
@@ -316,14 +335,14 @@ def _fibres(runs: Sequence[Saved], labels: Sequence[str], end: float, notes: lis
     from matplotlib.colors import to_rgba
     from matplotlib.lines import Line2D
 
-    figure, grid = _grid(len(runs), 2.6)
     frame = _common(runs)
+    figure, grid = _grid(len(runs), frame, below=0.25)
     extent = max(np.ptp(run.blank.nodes, axis=0).max() for run in runs)
     pitch = _round(extent / 20)
     for axes, label, run in zip(grid[:, 0], labels, runs, strict=True):
         blank = run.blank
-        _head(axes, label, run, force=False)
-        view, _ = _seen_from(run)
+        view, turned_over = _seen_from(run)
+        _head(axes, label, run, force=False, turned_over=turned_over)
         P = run.positions() @ view.T
         faces = np.tile(to_rgba(SHEET), (len(blank.triangles), 1))
         if run.scene.dim == 3:
@@ -381,16 +400,19 @@ def _outlines(runs: Sequence[Saved], labels: Sequence[str], end: float, notes: l
     """Outlines of the formed sheets seen along z, over cuts through the tools of the first."""
     from matplotlib.lines import Line2D
 
-    figure, grid = _grid(1, 4.6)
-    axes = grid[0, 0]
-    handles, seen = [], []
+    seen = [points for run in runs for points in (run.blank.nodes, run.positions()[:, :2])]
+    figure = _figure(4.9)
+    axes = figure.subplots()
+    handles = []
     cuts, why_not = tool_cuts(runs[0])
     if why_not:
         notes.append(f"{labels[0]}: no tools under the outline: {why_not}")
+    several = len({str(run.summary["parameters"].get("scene")) for run in runs}) > 1
+    whose = f"{_plain(labels[0])}: " if several else ""
     for k, (words, (x, y, d)) in enumerate(cuts.items()):
         look = {"colors": "0.55", "linewidths": 0.8 + 0.8 * k, "linestyles": "-"}
         axes.contour(x, y, d, levels=[0.0], **look)
-        handles.append(Line2D([], [], color="0.55", linewidth=0.8 + 0.8 * k, label=words))
+        handles.append(Line2D([], [], color="0.55", linewidth=0.8 + 0.8 * k, label=whose + words))
     flats = []
     for k, (label, run) in enumerate(zip(labels, runs, strict=True)):
         flat, x = run.blank.nodes, run.positions()[:, :2]
@@ -401,7 +423,6 @@ def _outlines(runs: Sequence[Saved], labels: Sequence[str], end: float, notes: l
         for loop in run.blank.outline:
             axes.plot(*x[loop].T, linewidth=1.3, **_stroke(k))
         handles.append(Line2D([], [], linewidth=1.3, label=_plain(label), **_stroke(k)))
-        seen += [flat, x]
     dashed = {"color": "0.3", "linewidth": 0.6, "linestyle": (0, (4, 3))}
     handles.append(Line2D([], [], label="flat blank", **dashed))
     _frame(axes, np.vstack(seen))
@@ -411,26 +432,30 @@ def _outlines(runs: Sequence[Saved], labels: Sequence[str], end: float, notes: l
 
 def _forces(runs: Sequence[Saved], labels: Sequence[str], end: float, notes: list[str]) -> Figure:
     """Force over travel of all results in one panel."""
-    figure, grid = _grid(1, 3.0)
-    axes = grid[0, 0]
+    figure = _figure(3.3)
+    axes = figure.subplots()
+    coarser = False
     for k, (label, run) in enumerate(zip(labels, runs, strict=True)):
         if "force_N" not in run.history:
             notes.append(f"{label}: no force in its history")
             continue
-        travel = run.history[run.scene.travel_name]
-        axes.plot(
-            travel,
-            run.history["force_N"],
-            linewidth=1.2,
-            marker=MARKS[k % len(MARKS)],
-            markersize=3,
-            label=_plain(label),
-            **_stroke(k),
-        )
+        travel, force = run.history[run.scene.travel_name], run.history["force_N"]
+        axes.plot(travel, force, linewidth=1.2, **_stroke(k))
+        mark = {"marker": MARKS[k % len(MARKS)], "markersize": 3.5}
+        sizes = run.history.get("size_mm", np.zeros(len(travel)))
+        coarse = sizes > sizes[-1] * (1 + 1e-9)
+        ink = _stroke(k)["color"]
+        axes.plot(travel[coarse], force[coarse], color=ink, markerfacecolor="white", ls="", **mark)
+        axes.plot(travel[~coarse], force[~coarse], color=ink, ls="", **mark)
+        axes.plot([], [], linewidth=1.2, label=_plain(label), **mark, **_stroke(k))
+        coarser |= coarse.any()
         collapse = run.summary.get("collapse")
         if collapse:  # beyond, the force means nothing
             axes.axvline(collapse["travel_mm"], linewidth=0.6, **_stroke(k))
             axes.plot([], [], linewidth=0.6, label=f"{_plain(label)}: collapsed", **_stroke(k))
+    if coarser:
+        hollow = {"marker": "o", "markersize": 3.5, "markerfacecolor": "white", "color": "0.4"}
+        axes.plot([], [], ls="", label="hollow: on a\ncoarser mesh", **hollow)
     names = dict.fromkeys(run.scene.travel_name.removesuffix("_mm") for run in runs)
     axes.set_xlabel(f"{' or '.join(name.replace('_', ' ') for name in names)} in mm")
     axes.set_ylabel("force in N")
@@ -444,8 +469,6 @@ def _animate(runs: Sequence[Saved], labels: Sequence[str], end: float, path: Pat
     """Write the travel as an animation: every state that was written, all on one scale."""
     from matplotlib.animation import FFMpegWriter, PillowWriter
 
-    figure, grid = _grid(len(runs), 3.2)
-    _draw_scale(figure, grid, runs, end)
     colours = _colour_scale(end)
     views = [_seen_from(run)[0] for run in runs]  # of the end, for all frames
     frame = np.vstack(
@@ -455,6 +478,8 @@ def _animate(runs: Sequence[Saved], labels: Sequence[str], end: float, path: Pat
             for k in (0, -1)
         ]
     )
+    figure, grid = _grid(len(runs), frame)
+    _draw_scale(figure, grid, runs, end)
     travels = sorted({s.travel for run in runs for s in run.states})
     figure.canvas.draw()  # the layout is found once: nothing jumps between the frames
     writer = (PillowWriter if path.suffix == ".gif" else FFMpegWriter)(fps=FRAMES_PER_SECOND)

@@ -179,7 +179,8 @@ def _title(result: Result) -> str:
     summary, scene = result.summary(), result.scene
     case = [summary["case"], scene.fabric.name]
     size = scene.parameters.get("size")
-    case.append(f"size {size if isinstance(size, Real) else scene.blank.size:.3g} mm")
+    path = f" (path at {summary['path_size_mm']:.3g} mm)" if summary["path_size_mm"] else ""
+    case.append(f"size {size if isinstance(size, Real) else scene.blank.size:.3g} mm{path}")
     travel, force, unit = _words(result)
     case.append(f"{travel} {summary['reached_mm']:.4g}{' mm' if unit == 'N' else ''}")
     gamma, certified = summary["shear_angle_deg"], summary["certified"]
