@@ -32,7 +32,7 @@ HOVER = (
     "X = %{customdata[1]:.1f}, Y = %{customdata[2]:.1f} mm on the flat blank<br>"
     "E11 = %{customdata[3]:.1e}, E22 = %{customdata[4]:.1e}<extra></extra>"
 )
-ABOVE = 0.004  # of the extent: how far lines lie off the sheet, to be seen on it
+ABOVE = 0.006  # of the extent: how far lines lie off the sheet, to be seen on it
 LIGHT_FROM = {"x": -3e4, "y": -6e4, "z": -1e5}  # plotly lights the seen face from behind it
 LIGHT = {
     "ambient": 0.7,
@@ -255,8 +255,10 @@ def _camera(plane: bool, up: float) -> dict[str, Any]:
         above, eye = (0.0, 1.0, 0.0), (0.0, 0.0, 1.7)
     else:
         ca, sa, ce, se = np.cos(AZIMUTH), np.sin(AZIMUTH), np.cos(ELEVATION), np.sin(ELEVATION)
-        above, eye = (0.0, 0.0, up), 2.8 * np.array([ce * ca, ce * sa, up * se])
+        above, eye = (0.0, 0.0, up), 2.6 * np.array([ce * ca, ce * sa, up * se])
     return {
         "up": dict(zip("xyz", map(float, above), strict=True)),
         "eye": dict(zip("xyz", map(float, eye), strict=True)),
+        # the near corner is the largest: it is to be seen in a square window too
+        "center": {"x": 0.0, "y": 0.0, "z": 0.0 if plane else -0.15 * up},
     }

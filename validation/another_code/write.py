@@ -33,7 +33,7 @@ def main() -> None:
         answer = peer.calculix(str(mesh), first, largest, keep=folder)
         if answer.failed:
             raise SystemExit(answer.failed)
-        u = peer._displacements((Path(folder) / "sheet.frd").read_text(), len(blank.nodes))
+        u = peer.displacements((Path(folder) / "sheet.frd").read_text(), len(blank.nodes))
     write(blank.nodes, blank.triangles, u * [1.0, 1.0, -1.0], answer.value)
 
 

@@ -224,7 +224,7 @@ def calculix(
             return Answer(failed=f"at {travel * TRAVEL:.3g} mm: {reason}", solve_s=seconds)
         forces = re.findall(r"total force.*\n\s*\n\s*(.+)", (folder / "sheet.dat").read_text())
         force = abs(float(forces[-1].split()[2]))
-        u = _displacements((folder / "sheet.frd").read_text(), len(nodes))
+        u = displacements((folder / "sheet.frd").read_text(), len(nodes))
     x = np.column_stack([nodes, np.zeros(len(nodes))]) + u
     return Answer(
         force,
@@ -236,7 +236,7 @@ def calculix(
     )
 
 
-def _displacements(frd: str, n: int) -> FloatArray:
+def displacements(frd: str, n: int) -> FloatArray:
     """(n, 3) last displacements of the first n nodes."""
     block = frd[frd.rindex(" -4  DISP") :]
     u = np.zeros((n, 3))
