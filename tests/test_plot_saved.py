@@ -3,6 +3,7 @@
 import csv
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -89,6 +90,30 @@ def test_pictures_of_two(folders, tmp_path):
     with Image.open(tmp_path / "travel.gif") as gif:
         travels = {state.travel for result in results.values() for state in result.states}
         assert gif.n_frames == len(travels)
+
+
+@pytest.mark.skipif(not shutil.which("ffmpeg"), reason="needs ffmpeg")
+def test_the_travel_as_mp4(folders, tmp_path):
+    root, _ = folders
+    pictures.save([saved.read(root / "dome")], tmp_path, only=["force"], animate="mp4")
+    assert b"ftyp" in (tmp_path / "travel.mp4").read_bytes()[:16]
+
+
+def test_forces_of_a_coarser_mesh_are_hollow(folders):
+    root, _ = folders
+    run = saved.read(root / "dome")
+    rows = len(run.history["force_N"])
+    sizes = np.where(np.arange(rows) < rows - 1, 20.0, 10.0)
+    mixed = replace(run, history=run.history | {"size_mm": sizes})
+
+    def hollow(figure):
+        marks = [m for m in figure.axes[0].lines if m.get_markerfacecolor() == "white"]
+        return sum(len(m.get_xdata()) for m in marks)
+
+    assert hollow(pictures.PICTURES["force"]([run], ["a"], 60, [])) == 0
+    figure = pictures.PICTURES["force"]([mixed], ["a"], 60, [])
+    assert hollow(figure) == rows - 1
+    assert "coarser mesh" in figure.legends[0].get_texts()[-1].get_text()
 
 
 def test_one_scale_for_all_that_reaches_the_locking_angle(folders):
