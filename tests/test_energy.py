@@ -1109,6 +1109,23 @@ def test_new_contact_is_anchored_where_it_touched():
     assert_allclose(on_points(term, end), force, atol=1e-9)
 
 
+def test_anchor_of_new_contact_stays_while_it_slides_on():
+    """Else friction would follow the node, and a sheet that has jumped would creep without end."""
+    normal, clear = plate(-DEPTH)
+    _, pressed = plate(DEPTH)
+    term = Friction(normal, clear)
+    term.refresh(slid(pressed, 0.8 * REACH))
+    anchor = term.anchor.copy()
+    further = slid(pressed, 0.9 * REACH)
+    term.refresh(further)
+    assert_array_equal(term.anchor, anchor)
+    force = STICK * 0.5 * REACH * normal.area[:, None] * [0.6, 0.8, 0.0, 0.0]
+    assert_allclose(on_points(term, further), force, atol=1e-9)
+    term.refresh(clear)  # it has left, and touches again elsewhere
+    term.refresh(slid(pressed, 2 * REACH))
+    assert np.abs(term.anchor - anchor).max() > 0.1 * REACH
+
+
 def test_node_that_left_the_tool_forgets_its_anchor():
     normal, x = plate(DEPTH)
     _, clear = plate(-DEPTH)

@@ -46,23 +46,26 @@ class Friction:
     def reset(self, x: FloatArray) -> None:
         """Forget everything: points that touch at x are anchored where they are."""
         points, p = self.contact.relative(x), self.contact.penetration(x)
-        self._committed = points, p, np.where((p > 0)[:, None], points, np.nan)
+        self.anchor = np.where((p > 0)[:, None], points, np.nan)
+        self._committed = points, p, self.anchor
         self.refresh(x)
 
     def refresh(self, x: FloatArray) -> None:
         """Take normal forces and normals from x.
 
         A node that has come into touch is anchored where its path since the last commit met the
-        tool. Refreshing at the last committed state undoes all refreshing since.
+        tool, and stays anchored there while it touches: an anchor that followed it would let it
+        creep without end. Refreshing at the last committed state undoes all refreshing since.
         """
         points, p = self.contact.relative(x), self.contact.penetration(x)
         self.normal = self.contact.normal(x)
         self.limit = self.contact.tool.friction * self.contact.area * self.contact.pressure(x)
         before, p_before, anchor = self._committed
         fresh = (p_before <= 0) & (p > 0)
+        known = (fresh & ~np.isnan(self.anchor[:, 0]))[:, None]
         part = np.where(fresh, -p_before / np.where(fresh, p - p_before, 1.0), 0.0)
         touch = before + part[:, None] * (points - before)
-        self.anchor = np.where(fresh[:, None], touch, anchor)
+        self.anchor = np.where(known, self.anchor, np.where(fresh[:, None], touch, anchor))
 
     def commit(self, x: FloatArray) -> None:
         """Move the anchors of slipping nodes; nodes that left the tool lose theirs."""

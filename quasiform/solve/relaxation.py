@@ -26,7 +26,7 @@ def relax(
     motion: FloatArray,
     tolerance: float | None = None,
     max_iterations: int = 40_000,
-    refresh_every: int = 200,
+    refresh_every: int = 50,
 ) -> tuple[FloatArray, float]:
     """Relax a state to equilibrium after a motion of the prescribed degrees of freedom.
 
