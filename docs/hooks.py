@@ -55,7 +55,7 @@ def on_page_markdown(markdown: str, **_: object) -> str:
 def help_text(*command: str) -> str:
     """What `quasiform COMMAND --help` prints."""
     said = StringIO()
-    with patch.dict(os.environ, {"COLUMNS": "82"}), redirect_stdout(said):
+    with patch.dict(os.environ, {"COLUMNS": "78"}), redirect_stdout(said):
         try:
             cli.main([*command, "--help"])
         except SystemExit as end:

@@ -17,6 +17,7 @@ from .export import FORMATS
 from .export.fibres import AXES
 from .identification.campaign import KINDS, METHODS
 from .identification.fit import ALGORITHMS, NAMES
+from .identification.records import NAMES as QUANTITIES
 from .material import PRESETS
 from .result import package_version
 from .scene_file import built_in
@@ -175,6 +176,11 @@ def _add_identify(commands: Any) -> None:
         ("--size", "MM", "inverse: cell edge of the finite-element test (14)"),
     ):
         parser.add_argument(option, type=_positive, metavar=unit, help=text)
+    for option, text in (
+        ("--columns", 'headings or positions in a CSV file, displacement="Position(mm)",force=3'),
+        ("--units", "units in a CSV file, over what it says, displacement=inch,force=kN"),
+    ):
+        parser.add_argument(option, type=_by_quantity, metavar="NAME=WORD,...", help=text)
     _add_out(parser)
     parser.add_argument(
         "--dry-run", action="store_true", help="read the tests, tell what is in them; write nothing"
@@ -542,6 +548,24 @@ def _kept(text: str) -> dict[str, float]:
                 f"expected NAME=VALUE,... such as I_lo=0.819, got '{entry}'"
             ) from None
     return kept
+
+
+def _by_quantity(text: str) -> dict[str, str]:
+    """Words by quantity; a comma is part of a word unless NAME= follows, a quote is not."""
+    words = {}
+    for entry in re.split(r",(?=\s*\w+\s*=)", text):
+        name, _, word = (part.strip() for part in entry.partition("="))
+        if name not in QUANTITIES:
+            raise argparse.ArgumentTypeError(
+                f"unknown quantity '{name}': {suggestion(name, QUANTITIES)}"
+            )
+        word = word.strip("\"'")
+        if not word or name in words:
+            raise argparse.ArgumentTypeError(
+                f"expected NAME=WORD,... with each name once, such as force=3, got '{text}'"
+            )
+        words[name] = word
+    return words
 
 
 def _names_of(*known: str) -> Callable[[str], tuple[str, ...]]:

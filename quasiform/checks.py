@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 import tomllib
 from collections.abc import Callable, Iterable
 from errno import EISDIR
@@ -96,6 +97,8 @@ def _toml(path: str | Path) -> dict[str, Any]:
         table = tomllib.loads(text)
     except RecursionError:
         raise InputError(f"tables and lists nested deeper than {DEEPEST}") from None
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{error}{_decimal_comma(text, str(error))}") from error
     except ValueError as error:  # of the encoding, of TOML, or of a number with too many digits
         raise InputError(str(error)) from error
     level: list[Any] = [table]
@@ -109,6 +112,14 @@ def _toml(path: str | Path) -> dict[str, Any]:
     if level:
         raise InputError(f"tables and lists nested deeper than {DEEPEST}")
     return table
+
+
+def _decimal_comma(text: str, error: str) -> str:
+    """Point to a comma in a number, where it is what TOML stumbles over."""
+    at = re.search(r"at line (\d+)", error)
+    line = text.split("\n")[int(at[1]) - 1] if at else ""
+    comma = re.search(r"=\s*([+-]?\d+),(\d+)\s*(?:[#,}]|$)", line)
+    return f": with a decimal point, {comma[1]}.{comma[2]}" if comma else ""
 
 
 def _parts(line: str) -> int:

@@ -11,6 +11,7 @@ import csv
 import os
 import re
 import sys
+import time
 import webbrowser
 from collections.abc import Callable, Sequence
 from contextlib import chdir
@@ -29,8 +30,10 @@ from .compare import compare
 from .experiments import off_axis_tension
 from .export import abaqus_deck, export, flat_pattern
 from .export.handover import FILES as HANDOVER_FILES
+from .export.handover import NOTES as HANDOVER_NOTES
 from .export.pattern import FILES as PATTERN_FILES
-from .files import FILES, INCREMENTS, check_folder, replaced
+from .export.pattern import NOT_MODELLED
+from .files import FILES, INCREMENTS, RESUME, check_folder, replaced
 from .forming import forming
 from .identification import Identification, identify
 from .identification.campaign import METHODS, Campaign, load
@@ -54,6 +57,9 @@ RECIPE = (
     *("command", "directory", "angle", "law", "length", "width", "displacement", "size"),
     *("scene", "orientation", "travel", "symmetry", "accuracy", "increment", "linear", "seeds"),
 )
+
+WIDE = 2.0  # degrees: an error of the shear angle that is pointed out
+SPREAD = ("force_N", "shear_angle_deg", "shear_angle_mean_deg")  # what is said of perturbed starts
 
 COMPARED_BY = (
     *("field", "angle", "radians", "signed", "orientation", "values", "coordinates", "scale"),
@@ -120,7 +126,7 @@ def _resume(arguments: argparse.Namespace) -> int:
 
 def _record(scene: Scene, arguments: argparse.Namespace, journal: Journal) -> int:
     """Solve a scene and leave its files in the journal's folder."""
-    folder = journal.folder
+    folder, clock = journal.folder, time.perf_counter()
     _say(f"writing to {folder}")
     _say(_describe(scene))
     increment, linear = arguments.increment, arguments.linear
@@ -136,6 +142,9 @@ def _record(scene: Scene, arguments: argparse.Namespace, journal: Journal) -> in
             result.reason = "interrupted while perturbed starts were solved"
         journal.close(result)
     _say(_report(result))
+    _say(f"  {'all in all':<15}{time.perf_counter() - clock:.1f} s, with error estimate and files")
+    if (folder / RESUME).exists():
+        _say(f"carry on with: quasiform resume {folder}")
     written = [name for name in FILES if (folder / name).exists()]
     if scene.outputs["increments"]:
         written.append(f"{len(list(folder.glob(INCREMENTS)))} {INCREMENTS}")
@@ -147,7 +156,7 @@ def _identify(arguments: argparse.Namespace) -> int:
     folder = arguments.out or _unused(_case(arguments.file.stem) + "-fabric")
     check_folder(folder, force=arguments.force, names=MATERIAL_FILES)
     names = ("kind", "length", "width", "angle", "side", "thickness", "method", "keep")
-    names += ("algorithm", "size", "name")
+    names += ("algorithm", "size", "name", "columns", "units")
     given = {name: getattr(arguments, name) for name in names}
     campaign = load(arguments.file, **{k: v for k, v in given.items() if v is not None})
     if arguments.dry_run:
@@ -155,6 +164,9 @@ def _identify(arguments: argparse.Namespace) -> int:
         return 0
     _say(f"writing to {folder}")
     _say(_campaign(campaign))
+    if campaign.shear:
+        loop = " or minutes, with finite elements in the loop"
+        _say(f"fitting, some seconds{loop if campaign.method == 'inverse' else ''}")
     found = identify(campaign)
     found.save(folder, force=arguments.force)
     _say(_identified(found))
@@ -194,8 +206,10 @@ def _export(arguments: argparse.Namespace) -> int:
         )
         _say(f"writing to {folder}")
         pattern.save(folder, force=arguments.force)
-        _say(f"{len(pattern.trim)} lines to cut, {pattern.area:.6g} mm² inside")
-        notices, written = pattern.notices, PATTERN_FILES
+        lines = "1 line" if len(pattern.trim) == 1 else f"{len(pattern.trim)} lines"
+        _say(f"{lines} to cut, {pattern.area:.6g} mm² inside")
+        notices, general, told = pattern.notices, NOT_MODELLED, "pattern.txt"
+        written = [name for name in PATTERN_FILES if (folder / name).exists()]
     else:
         handed = export(
             source,
@@ -209,8 +223,10 @@ def _export(arguments: argparse.Namespace) -> int:
             force=arguments.force,
         )
         _say(f"writing to {folder}")
-        notices, written = handed.notices, handed.files
-    _say("\n".join(f"  note: {notice}" for notice in notices))
+        notices, general, told = handed.notices, handed.general, HANDOVER_NOTES
+        written = handed.files
+    own = [f"  note: {notice}" for notice in notices if notice not in general]
+    _say("\n".join([*own, f"  and {len(general)} notes true of every such export, in {told}"]))
     _say(f"files in {folder}: {', '.join(written)}")
     return 0
 
@@ -368,19 +384,27 @@ def _report(result: Result) -> str:
     summary = result.summary()
     reached = f"{summary['reached_mm']:.4g} of {result.scene.travel:.4g} mm"
     gamma = summary["shear_angle_deg"]
+    errors = {k: v for k, v in summary["estimated_errors"].items() if v is not None}
     rows = {
-        "force": f"{summary['force_N']:.4g} N",
-        "shear angle": f"max {gamma['max']:.2f}, p99 {gamma['p99']:.2f}, "
-        f"mean {gamma['mean']:.2f} deg",
+        "force": f"{summary['force_N']:.4g}{_off(errors, 'force_N')} N",
+        "shear angle": f"max {gamma['max']:.2f}, p99 {gamma['p99']:.2f}"
+        f"{_off(errors, 'shear_angle_deg')}, mean {gamma['mean']:.2f}"
+        f"{_off(errors, 'shear_angle_mean_deg')} deg",
     }
     if "draw_in_mm" in summary:
-        rows["draw-in"] = _pairs(summary["draw_in_mm"], ".2f") + " mm"
-        rows["areas"] = _pairs(summary["areas"], ".2f") + " deg (mean shear angle)"
-    errors = summary["error_estimate"]
-    if errors["shear_angle_deg"] is not None:
-        rows["error estimate"] = (
-            f"shear angle {errors['shear_angle_deg']:.2g} deg, force {errors['force_N']:.2g} N"
-        )
+        found = {name: _off(errors, f"draw_in_{name}_mm") for name in summary["draw_in_mm"]}
+        rows["draw-in"] = _pairs(summary["draw_in_mm"], ".2f", found) + " mm"
+    if summary.get("areas"):
+        found = {name: _off(errors, f"area_{name}_deg") for name in summary["areas"]}
+        rows["areas"] = _pairs(summary["areas"], ".2f", found) + " deg (mean shear angle)"
+    if not errors:
+        rows["error estimate"] = "none: no coarser mesh of this scene came to the same end"
+    elif summary["error_estimate"]["shear_angle_deg"] > WIDE:
+        rows["error estimate"] = "wide: --accuracy 1 or a smaller --size narrows it"
+    doubtful = {k: v for k, v in summary["doubtful_share"].items() if v > 0}
+    if doubtful:
+        rows["doubtful"] = _pairs({k.replace("_", " "): v for k, v in doubtful.items()}, ".0%")
+        rows["doubtful"] += " of the area"
     if summary["collapse"]:
         rows["collapse"] = (
             "from {travel_mm:.4g} mm on, first at X = ({at[0]:.1f}, {at[1]:.1f}) mm, "
@@ -390,12 +414,18 @@ def _report(result: Result) -> str:
     if summary["one_of_many"]:
         rows["one of many"] = summary["one_of_many"]
     if summary["spread"]:
-        rows["robust"] = ", ".join(k for k, v in summary["spread"].items() if v["robust"]) or "none"
+        scattered = [k for k, v in summary["spread"].items() if not v["robust"]]
+        rows["perturbed"] = ", ".join(
+            f"{name} {entry['low']:.4g} to {entry['high']:.4g}"
+            for name, entry in summary["spread"].items()
+            if name in SPREAD
+        )
+        rows["perturbed"] += f"; scattered: {', '.join(scattered)}" if scattered else "; all robust"
     if summary["path_size_mm"]:
         rows["path"] = f"followed at size {summary['path_size_mm']:g} mm"
     rows["certified"] = "yes" if certified is True else f"no: {certified}"
     rows["linear solves"] = (
-        f"{summary['linear_solves']:g} ({summary['solver']['linear']}) "
+        f"{summary['linear_solves']:.0f} of the finest mesh ({summary['solver']['linear']}) "
         f"in {summary['increments']} increments"
     )
     rows["wall time"] = f"{summary['wall_s']:.1f} s"
@@ -407,9 +437,14 @@ def _report(result: Result) -> str:
 
 
 def _campaign(campaign: Campaign) -> str:
+    fabric, origins = campaign.fabric, campaign.fabric.provenance
     rows = [f"{campaign.name}: {METHODS[campaign.method]}"]
+    if campaign.shear:
+        rows.append(f"  thickness {fabric.thickness:g} mm ({origins['thickness']})")
+    if campaign.bending:
+        rows.append(f"  areal weight {fabric.areal_weight:g} g/m² ({origins['areal_weight']})")
     for test in campaign.shear:
-        gamma = np.degrees(test.forces(campaign.fabric.thickness).angles[0])
+        gamma = np.degrees(test.forces(fabric.thickness).angles[0])
         rows.append(
             f"  {test.name}: {len(gamma)} rows, shear angle {gamma.min():.1f} to "
             f"{gamma.max():.1f} deg, force to {test.curve.force.max():.4g} "
@@ -450,9 +485,15 @@ def _across(rows: list[list[str]]) -> str:
     )
 
 
-def _pairs(table: dict[str, Any], form: str) -> str:
+def _off(errors: dict[str, float], name: str) -> str:
+    """Return the estimated error of a quantity as " ± ..."; empty where there is none."""
+    return f" ± {errors[name]:.2g}" if name in errors else ""
+
+
+def _pairs(table: dict[str, Any], form: str, off: dict[str, str] | None = None) -> str:
     """Return the entries in words; an area without a triangle has no value."""
     return ", ".join(
         f"{key} {'none' if value is None or value != value else format(value, form)}"
+        + (off or {}).get(key, "")
         for key, value in table.items()
     )

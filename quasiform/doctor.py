@@ -16,10 +16,11 @@ from .solve.linear import linear_solver
 
 PACKAGES = ("numpy", "scipy", "scikit-fem", "pyamg", "meshio", "shapely", "matplotlib", "rich")
 SOLVERS = {
-    "pardiso": "the fastest; pip install 'quasiform[fast]'",
+    "pardiso": "the fastest",
     "superlu": "scipy's",
     "amg": "by name only; convex matrices, no certificate",
 }
+EXTRAS = {"pardiso": "pip install 'quasiform[fast]'"}  # where the fault does not say so
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 PARTS = {  # name: (module, what for, extra)
     "libigl": ("igl", "tools from surface files", "surface"),
@@ -46,9 +47,11 @@ def examine() -> list[tuple[str, str]]:
     chosen = ""
     for name, words in SOLVERS.items():
         fault = _fault(name)
-        state = f"missing or broken: {words} ({fault})" if fault else f"works: {words}"
+        state = f"missing or broken: {words}; {fault}" if fault else f"works: {words}"
+        if fault and name in EXTRAS and "pip install" not in fault:
+            state += f"; {EXTRAS[name]}"
         if not fault and not chosen:
-            chosen, state = name, f"works, is used: {words.split(';')[0]}"
+            chosen, state = name, f"works, is used: {words}"
         found.append((f"linear solver {name}", state))
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     found.append(("processors", str(cores)))

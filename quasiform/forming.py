@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import shapely
 
-from . import free_mesh, scene_file, surface
+from . import free_mesh, scene_file, tool_file
 from .blank import Blank, cut, rotation
 from .checks import InputError, check_number
 from .energy import Term
@@ -31,6 +31,7 @@ from .measure import edge_points
 from .scene import Scene
 from .scene_file import SceneFile, SurfaceFile, ToolPart
 from .tool import Tool, turned
+from .tool_file import ToolFile
 
 FloatArray = np.ndarray
 SIZE = 5.0  # mm, where nobody says
@@ -114,6 +115,7 @@ class _Build:
         self.file, self.fabric, self.size, self.goal = file, fabric, size, goal
         self.orientation, self.symmetry, self.turn, self.given = orientation, symmetry, turn, name
         self.made: list[Tool] = []
+        self.from_files: dict[str, ToolFile] = {}
         self.model: list[tuple[str, str]] = [
             ("bending of warp and weft lines", "the sheet leaves its plane")
         ]
@@ -125,7 +127,10 @@ class _Build:
             free_mesh.outline_of(own) if own else file.outline, self.turn, origin=(0, 0)
         )
         self._check_size()
-        self.made = self.made or [self._tool(part) for part in file.tools]
+        if not self.made:
+            self.made = [self._tool(part) for part in file.tools]
+        for read in self.from_files.values():
+            self.model += read.told(self.made, self.outline, self.goal)
         self.tools = self.made
         self._check_clearance()
         mirror = self._mirror_planes()
@@ -154,10 +159,11 @@ class _Build:
 
     def _tool(self, part: ToolPart) -> Tool:
         t0 = self.fabric.thickness
-        shape, low, high = part.shape, 0.0, 0.0
+        shape, rest = part.shape, 0.0 if part.role == "die" else t0
         if isinstance(shape, SurfaceFile):
-            shape, low, high = self._surface(part, shape)
-        rest = {"punch": t0 - low, "holder": t0 - low, "die": -high}[part.role]
+            read = tool_file.read(part, self.outline, self.file.travel, t0)
+            self.from_files[part.name] = read
+            shape, rest = read.grid, read.rest
         return Tool(
             part.name,
             shape,
@@ -170,59 +176,30 @@ class _Build:
             part.motion == "free" and part.tilt is not False,
         )
 
-    def _surface(
-        self, part: ToolPart, given: SurfaceFile
-    ) -> tuple[surface.SurfaceGrid, float, float]:
-        """Distance of a tool from a file where the sheet can be; its lowest and highest z."""
-        reach = np.full(2, 1.1 * max(np.abs(self.outline.bounds)))
-        low, high = -reach - part.place, reach - part.place
-        vertices, triangles = surface.placed(
-            given.path, given.scale, given.flip, given.rotate, given.origin
-        )
-        bottom, top = float(vertices[:, 2].min()), float(vertices[:, 2].max())
-        # the sheet is between the punch's lowest point and the die's face
-        deep, margin = self.file.travel + 4 * self.fabric.thickness, 10.0
-        z = {
-            "punch": (bottom - margin, bottom + deep + margin),
-            "die": (top - deep - margin, top + margin),
-            "holder": (bottom - deep - margin, bottom + margin),
-        }[part.role]
-        with surface.naming(given.path):
-            grid = surface.surface_grid(
-                vertices,
-                triangles,
-                np.append(low, z[0]),
-                np.append(high, z[1]),
-                given.spacing,
-                2 * float(reach[0]),
-                given.scale,
-                given.flip,
-            )
-        return grid, bottom, top
+    def _why_inside(self, name: str) -> str:
+        read = self.from_files.get(name)
+        return read.why_inside() if read else "check its z"
 
     def _check_clearance(self) -> None:
         """Driven and fixed tools must leave room for the sheet between them at the end."""
         low_x, low_y, high_x, high_y = self.outline.bounds
-        z = np.linspace(-self.goal, 0.0, 30)
+        t0, z = self.fabric.thickness, np.linspace(-self.goal, 0.0, 30)
         grid = np.meshgrid(np.linspace(low_x, high_x, 60), np.linspace(low_y, high_y, 60), z)
         points = np.stack([c.ravel() for c in grid], axis=1)
         for driven in (tool for tool in self.tools if tool.motion == "driven"):
             for fixed in (tool for tool in self.tools if tool.motion != "driven"):
-                d = self._gap(driven, points, -self.goal)
-                gap = np.maximum(d + self._gap(fixed, points, 0.0), 0.0)
+                d = driven.gap(points, -self.goal)
+                gap = np.maximum(d + fixed.gap(points), 0.0)
                 gap[np.abs(d) > 3.0] = np.inf
                 at = gap.argmin()
-                if gap[at] < self.fabric.thickness * (1 - 1e-9):
+                if gap[at] < t0 * (1 - 1e-9):
                     x, y, height = points[at]
+                    why = tool_file.why_tight(driven, fixed, self.from_files, t0)
                     raise InputError(
                         f"{driven.name} and {fixed.name} leave {gap[at]:.2f} mm for a sheet of "
-                        f"{self.fabric.thickness:g} mm between them at the end of the travel, near "
-                        f"({x:.0f}, {y:.0f}, {height:.0f}) mm"
+                        f"{t0:g} mm between them at the end of the travel, near "
+                        f"({x:.0f}, {y:.0f}, {height:.0f}) mm{why}"
                     )
-
-    @staticmethod
-    def _gap(tool: Tool, points: FloatArray, travel: float) -> FloatArray:
-        return tool.shape.distance(points - [*tool.place, tool.height + travel])[0]
 
     def _mirror_planes(self) -> tuple[str, ...]:
         """Planes along the fibres that map blank and tools onto themselves, in the fibres' axes."""
@@ -252,8 +229,7 @@ class _Build:
             for tool in self.tools if same else ():
                 same = same and abs(along[:, axis] @ tool.place) < 1e-9
                 d = [
-                    self._gap(
-                        tool,
+                    tool.gap(
                         np.column_stack([points @ along.T, z]),
                         -self.goal if tool.motion == "driven" else 0.0,
                     )
@@ -343,8 +319,8 @@ class _Build:
         for contact in contacts:
             if (contact.penetration(x0) > t0).any():
                 raise InputError(
-                    f"the flat blank starts inside the {contact.tool.name}: check its z, or, for a "
-                    "surface from a file, set flip = true"
+                    f"the flat blank starts inside the {contact.tool.name}: "
+                    f"{self._why_inside(contact.tool.name)}"
                 )
         for axis, plane in enumerate("xy"):
             if plane in blank.mirror:
@@ -466,6 +442,7 @@ class _Build:
             model=self.model,
             parameters={
                 "scene": given if isinstance(given, str) else file.name,
+                **({"scene_file": file.source} if file.source else {}),
                 "orientation": self.orientation,
                 "law": self.fabric.name,
                 "size": self.size,
@@ -514,5 +491,5 @@ class _Build:
             self.turn,
             self.given,
         )
-        other.made = self.made
+        other.made, other.from_files = self.made, self.from_files
         return other.scene()

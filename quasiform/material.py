@@ -322,7 +322,8 @@ class Fabric:
     shear_range : float
         Shear angle up to which the shear law follows the tests, degrees (MD600: about 57, stated).
     provenance : mapping of str to str, int, float or bool
-        Where the numbers come from; it travels with them and has no effect.
+        Where the numbers come from; it travels with them and has no effect. An entry named like a
+        parameter is about that one, and `save` writes it beside it.
 
     Raises
     ------
@@ -407,15 +408,22 @@ class Fabric:
         return read_toml(path, lambda table: _fabric({"name": Path(path).stem, **table}))
 
     def save(self, path: str | Path) -> None:
-        """Write the fabric as TOML (MPa, mm, N mm, g/m²)."""
+        """Write the fabric as TOML (MPa, mm, N mm, g/m²), with what provenance says of a value."""
         lines, tables = [], []
         for key, value in asdict(self).items():
             if isinstance(value, dict):
                 entries = [f"{_key(k)} = {_toml(v)}" for k, v in value.items() if v is not None]
-                tables += [f"\n[{key}]", *entries] if entries else []
+                tables += [f"\n[{key}]{self._origin(key)}", *entries] if entries else []
             else:
-                lines.append(f"{key} = {_toml(value)}")
+                lines.append(f"{key} = {_toml(value)}{self._origin(key)}")
         Path(path).write_text("\n".join(lines + tables) + "\n", encoding="utf-8")
+
+    def _origin(self, key: str) -> str:
+        """What provenance says of a value, as a comment: one line without control characters."""
+        origin = self.provenance.get(key)
+        if not isinstance(origin, str):
+            return ""
+        return "  # " + "".join(c if c.isprintable() else " " for c in origin)
 
 
 PRESETS = ("locking", "best-fit")

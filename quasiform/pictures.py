@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import shapely
 
 from .checks import InputError, suggestion
 from .compare.sheet import at_nodes
@@ -35,6 +36,7 @@ from .plot import (
     _rim,
     _shade,
     _view,
+    draw_lines,
 )
 from .saved import Saved, tool_cuts
 
@@ -347,34 +349,24 @@ def _fibres(runs: Sequence[Saved], labels: Sequence[str], end: float, notes: lis
         faces = np.tile(to_rgba(SHEET), (len(blank.triangles), 1))
         if run.scene.dim == 3:
             faces[:, :3] *= _shade(blank, P)[:, None]
-        corners, inks, widths = [P[blank.triangles]], [np.clip(faces, 0, 1)], [0.3]
-        rim = P[_rim(blank)]
+        order = np.argsort(P[blank.triangles, 2].mean(1), kind="stable")
+        faces = np.clip(faces, 0, 1)[order]
+        axes.add_collection(
+            PolyCollection(
+                P[blank.triangles[order], :2],
+                facecolors=faces,
+                edgecolors=faces,
+                linewidths=0.3,
+                joinstyle="round",
+            )
+        )
         families = ((blank.weft, WARP, 0.9), (blank.warp, WEFT, 0.5))
         for across, ink, width in families:  # a line of warp is where the place along weft is one
             s = blank.nodes @ across
             levels = pitch * np.arange(np.ceil(s.min() / pitch), np.floor(s.max() / pitch) + 1)
             lines = level_lines(P, blank.triangles, s, levels)
-            corners.append(lines[:, [0, 1, 1]])
-            inks.append(np.tile(to_rgba(ink), (len(lines), 1)))
-            widths.append(width)
-        corners.append(rim[:, [0, 1, 1]])
-        inks.append(np.tile(to_rgba("0.1"), (len(rim), 1)))
-        widths.append(0.7)
-        lift = np.sqrt(2.0 * blank.areas.max())  # a line lies on its triangles
-        depth = [c[:, :, 2].mean(1) + lift * (k > 0) for k, c in enumerate(corners)]
-        order = np.argsort(np.concatenate(depth), kind="stable")
-        ink = np.vstack(inks)
-        fill = ink.copy()
-        fill[len(faces) :, 3] = 0.0
-        axes.add_collection(
-            PolyCollection(
-                np.vstack(corners)[order, :, :2],
-                facecolors=fill[order],
-                edgecolors=ink[order],
-                linewidths=np.repeat(widths, [len(c) for c in corners])[order],
-                joinstyle="round",
-            )
-        )
+            draw_lines(axes, P, blank.triangles, lines, ink, width)
+        draw_lines(axes, P, blank.triangles, P[_rim(blank)], "0.1", 0.7)
         _frame(axes, frame)
         if run.scene.dim == 3:
             _draw_triad(axes, view, frame)
@@ -417,9 +409,10 @@ def _outlines(runs: Sequence[Saved], labels: Sequence[str], end: float, notes: l
     for k, (label, run) in enumerate(zip(labels, runs, strict=True)):
         flat, x = run.blank.nodes, run.positions()[:, :2]
         for line in _outline(flat[_rim(run.blank)]):
-            if not any(line.shape == f.shape and np.allclose(line, f) for f in flats):
+            ring = shapely.linestrings(line)
+            if not any(shapely.hausdorff_distance(ring, flat) < 1e-3 for flat in flats):
                 axes.plot(*line.T, color="0.3", linewidth=0.6, linestyle=(0, (4, 3)))
-                flats.append(line)
+                flats.append(ring)
         for loop in run.blank.outline:
             axes.plot(*x[loop].T, linewidth=1.3, **_stroke(k))
         handles.append(Line2D([], [], linewidth=1.3, label=_plain(label), **_stroke(k)))

@@ -1,8 +1,9 @@
 """Pictures of a result: the shear angle on the formed sheet, and the history of the run.
 
-The formed sheet is projected here (parallel projection) and its triangles and fibre lines are drawn
-together from far to near, so that the sheet hides its own far side; the shade of a triangle follows
-its normal. Everything is drawn on `Figure` objects of matplotlib, nothing through pyplot.
+The formed sheet is projected here (parallel projection) and its triangles are drawn from far to
+near, so that the sheet hides its own far side; lines on it are drawn over them where no triangle is
+nearer. The shade of a triangle follows its normal. Everything is drawn on `Figure` objects of
+matplotlib, nothing through pyplot.
 """
 
 from __future__ import annotations
@@ -50,6 +51,7 @@ STYLE = {
     "legend.handletextpad": 0.6,
     "lines.linewidth": 1.2,
     "hatch.linewidth": 0.5,
+    "path.snap": False,  # a line along the pixels would step aside from the next one
 }
 COLOURS = "magma_r"  # perceptually uniform; light where unsheared, so that the shading shows
 RING_LEGEND = {"handlelength": 1.0, "columnspacing": 1.0, "title_fontsize": 7, "borderaxespad": 0}
@@ -267,7 +269,7 @@ def _view(turned_over: bool) -> FloatArray:
 def _paint(
     axes: Axes, result: Result, P: FloatArray, colours: ScalarMappable | FloatArray, *, shaded: bool
 ) -> None:
-    """Draw triangles and fibre lines from far to near.
+    """Draw triangles from far to near, and the fibre lines that are seen.
 
     Parameters
     ----------
@@ -292,29 +294,72 @@ def _paint(
         faces[collapsed] = to_rgba(COLLAPSED)
     if shaded:
         faces[:, :3] *= _shade(blank, P)[:, None]
-    pitch = max(blank.size, np.ptp(blank.nodes, axis=0).max() / 20)
-    fibres, rim = fibre_lines(blank, pitch), _rim(blank)
-    lines = np.vstack([fibres, rim])
-    corners = np.vstack([blank.triangles, lines[:, [0, 1, 1]]])  # a segment is a flat triangle
-    depth = P[corners, 2].mean(1)
-    near = np.sqrt(2.0 * blank.areas.max())
-    depth[len(faces) :] += near  # a line lies on its triangles
-    depth[: len(faces)][collapsed] += 2.0 * near  # slivers, which shall be seen
-    widths = np.repeat([0.3, 0.35, 0.6], [len(faces), len(fibres), len(rim)])
-    widths[: len(faces)][collapsed] = 1.5
+    depth = P[blank.triangles, 2].mean(1)
+    depth[collapsed] += 2.0 * np.sqrt(2.0 * blank.areas.max())  # slivers, which shall be seen
     order = np.argsort(depth, kind="stable")
-    ink = np.repeat([to_rgba("black", 0.5), to_rgba("0.1")], [len(fibres), len(rim)], axis=0)
-    edges = np.vstack([faces, ink])
-    fills = np.vstack([faces, np.zeros((len(lines), 4))])
+    faces = np.clip(faces, 0.0, 1.0)[order]
     axes.add_collection(
         PolyCollection(
-            P[corners, :2][order],
-            facecolors=np.clip(fills[order], 0.0, 1.0),
-            edgecolors=np.clip(edges[order], 0.0, 1.0),
-            linewidths=widths[order],
+            P[blank.triangles[order], :2],
+            facecolors=faces,
+            edgecolors=faces,
+            linewidths=np.where(collapsed, 1.5, 0.3)[order],
             joinstyle="round",
         )
     )
+    pitch = max(blank.size, np.ptp(blank.nodes, axis=0).max() / 20)
+    draw_lines(axes, P, blank.triangles, P[fibre_lines(blank, pitch)], to_rgba("black", 0.5), 0.35)
+    draw_lines(axes, P, blank.triangles, P[_rim(blank)], "0.1", 0.6)
+
+
+def draw_lines(
+    axes: Axes,
+    P: FloatArray,
+    triangles: np.ndarray,
+    segments: FloatArray,
+    colour: object,
+    width: float,
+) -> None:
+    """Draw segments (n, 2, 3) that lie on the sheet, joined, where no triangle hides them.
+
+    Parameters
+    ----------
+    axes : Axes
+    P : (n_nodes, 3) array
+        Nodes in the view: to the right, up, towards the viewer, mm.
+    triangles : (n_triangles, 3) int array
+    segments : (n, 2, 3) array
+        In the view.
+    colour : colour of matplotlib
+    width : float
+        Points.
+    """
+    from matplotlib.collections import LineCollection
+
+    shown = segments[~hidden(P, triangles, segments.mean(1)), :, :2]
+    pieces = shapely.multilinestrings(shapely.linestrings(np.round(shown, 6)))
+    lines = [
+        shapely.get_coordinates(part) for part in shapely.get_parts(shapely.line_merge(pieces))
+    ]
+    axes.add_collection(
+        LineCollection(lines, colors=[colour], linewidths=width, joinstyle="round", capstyle="butt")
+    )
+
+
+def hidden(P: FloatArray, triangles: np.ndarray, points: FloatArray) -> np.ndarray:
+    """(n,) bool array: points of the sheet in the view, (n, 3), behind one of its triangles."""
+    corners = P[triangles]
+    a, legs = corners[:, 0], corners[:, 1:] - corners[:, :1]
+    area = np.linalg.det(legs[:, :, :2])
+    seen = np.abs(area) > 1e-9 * np.abs(area).max()  # one seen along its plane hides nothing
+    tree = shapely.STRtree(shapely.polygons(corners[seen][:, :, :2]))
+    at, triangle = tree.query(shapely.points(points[:, :2]), predicate="intersects")
+    triangle = np.flatnonzero(seen)[triangle]
+    arm = points[at, None, :2] - a[triangle, None, :2]
+    shares = np.linalg.solve(legs[triangle, :, :2].transpose(0, 2, 1), arm.transpose(0, 2, 1))
+    depth = a[triangle, 2] + (legs[triangle, :, 2] * shares[:, :, 0]).sum(1)
+    near = 1e-4 * np.ptp(P[:, :2], axis=0).max()  # the triangles it lies on, and roundings
+    return np.bincount(at, depth > points[at, 2] + near, len(points)) > 0
 
 
 def _shade(blank: Blank, P: FloatArray) -> FloatArray:
@@ -389,21 +434,43 @@ def _draw_grips(axes: Axes, result: Result, positions: FloatArray) -> list[Float
 
 
 def _draw_draw_in_arrows(axes: Axes, result: Result) -> None:
-    """Number and arrow of the draw-in at the middle of each edge."""
+    """Number and arrow of the draw-in at the middle of each edge, and where it is largest."""
     scene = result.scene
+    arrows = [
+        (scene.edges[name].flat, scene.edges[name].inward, draw_in, "")
+        for name, draw_in in result.draw_in.items()
+    ]
+    if arrows:
+        arrows += _largest_draw_in(result)
     away = 0.055 * np.ptp(result.blank.nodes, axis=0).max()
-    for name, draw_in in result.draw_in.items():
-        flat, inward = scene.edges[name].flat, scene.edges[name].inward
+    for flat, inward, draw_in, word in arrows:
         tilt = np.degrees(np.arctan2(inward[0], -inward[1]))
         _draw_arrow(axes, flat, flat + draw_in * inward)
         axes.text(
             *(flat - away * inward),
-            f"{round(draw_in, 1) + 0.0:.1f}",
+            f"{word}{round(draw_in, 1) + 0.0:.1f}",
             ha="center",
             va="center",
             rotation=90.0 - (90.0 - tilt) % 180.0,
             fontsize=7,
         )
+
+
+def _largest_draw_in(result: Result) -> list[tuple[FloatArray, FloatArray, float, str]]:
+    """Where a blank that is no rectangle draws in most: flat place, inward normal, mm, a word."""
+    blank = result.blank
+    loop = blank.outline[0]
+    loop = loop[:-1] if loop[0] == loop[-1] else loop
+    X, x = blank.nodes[loop], result.positions()[loop, :2]
+    flat = shapely.Polygon(X)
+    if flat.area > 0.99 * flat.minimum_rotated_rectangle.area:
+        return []
+    along = np.roll(X, -1, axis=0) - np.roll(X, 1, axis=0)
+    inward = along[:, ::-1] * ([-1.0, 1.0] if flat.exterior.is_ccw else [1.0, -1.0])
+    inward /= np.linalg.norm(inward, axis=1)[:, None]
+    draw_in = ((x - X) * inward).sum(1)
+    most = int(draw_in.argmax())
+    return [(X[most], inward[most], float(draw_in[most]), "most ")]
 
 
 def _draw_areas(axes: Axes, result: Result, positions: FloatArray) -> list[Line2D]:

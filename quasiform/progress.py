@@ -49,6 +49,7 @@ class LiveProgress:
 
     def __init__(self, goal: float) -> None:
         self._step = Progress(0.0, goal, nan, 0.0, 0, 0, 0.0)
+        self._stage = ""
         self._told = time.perf_counter()
         self._console = Console(stderr=True)
         self._live = Live(get_renderable=self._row, console=self._console)
@@ -67,12 +68,22 @@ class LiveProgress:
         self._live.stop()
 
     def __call__(self, step: Progress) -> None:
-        self._step, self._told = step, time.perf_counter()
+        self._step, self._stage, self._told = step, "", time.perf_counter()
         if not self._live.is_started:
             progress(step)
 
+    def stage(self, words: str) -> None:
+        """Show what follows the travel."""
+        self._stage = words
+        if not self._live.is_started:
+            print(words, file=sys.stderr, flush=True)
+
     def _row(self) -> Text:
-        return _bar(self._step, self._console, time.perf_counter() - self._told)
+        since = time.perf_counter() - self._told
+        if self._stage:
+            words = f"{self._stage}, {_clock(self._step.elapsed + since)} gone"
+            return Text(words, no_wrap=True, overflow="crop")
+        return _bar(self._step, self._console, since)
 
 
 def _draws(console: Console) -> bool:

@@ -360,10 +360,16 @@ class Result:
             doubts.append("no pivots from the linear solver")
         elif self.negative_pivots:
             doubts.append(f"{self.negative_pivots} negative pivots of the tangent")
-        if self.max_penetration > CERTIFIED_PENETRATION * self.scene.fabric.thickness:
-            doubts.append(f"penetration {self.max_penetration:.3f} mm at a node")
+        deepest = CERTIFIED_PENETRATION * self.scene.fabric.thickness
+        if self.max_penetration > deepest:
+            doubts.append(
+                f"penetration {self.max_penetration:.3f} mm at a node, above {deepest:.3f}"
+            )
         if self.energy_balance > CERTIFIED_BALANCE:
-            doubts.append(f"energy balance open by {100 * self.energy_balance:.1f} %")
+            doubts.append(
+                f"energy balance open by {100 * self.energy_balance:.1f} %, above "
+                f"{100 * CERTIFIED_BALANCE:g}"
+            )
         if self.collapse:
             doubts.append(f"collapsed from {self.collapse['travel_mm']:.4g} mm on")
         given, own = self.settings.get("increment"), self.scene.increment

@@ -19,7 +19,7 @@ import numpy as np
 from .blank import Blank, rotation
 from .checks import InputError
 from .compare.mesh_file import Fields, read_fields
-from .compare.read import series
+from .compare.read import locking_angle, scene_of, series
 from .energy.contact import Contact
 from .forming import forming
 from .measure import percentile
@@ -193,10 +193,7 @@ class Saved:
     @property
     def locking(self) -> float | None:
         """Shear angle at which the fabric locks, degrees; None for a law without locking."""
-        shear = (self.summary["parameters"].get("fabric") or {}).get("shear") or {}
-        onset = shear.get("I_lo")
-        locks = onset is not None and shear.get("C_lo") and 0 < onset < 1
-        return float(np.degrees(np.arcsin(onset))) if locks else None
+        return locking_angle(self.summary["parameters"])
 
     @property
     def row(self) -> dict[str, str]:
@@ -295,7 +292,8 @@ def tool_cuts(run: Saved) -> tuple[dict[str, tuple[FloatArray, ...]], str]:
     parameters = run.summary["parameters"]
     try:
         scene = forming(
-            *(parameters[name] for name in ("scene", "orientation")),
+            scene_of(parameters, run.folder),
+            parameters["orientation"],
             size=parameters["size"],
             turn=parameters["turn"],
         )

@@ -7,8 +7,9 @@ Lengths are mm, masses kg, forces N, angles degrees. Paths are relative to the f
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -75,6 +76,12 @@ MOTIONS = {"punch": "driven", "die": "fixed", "holder": "free"}
 
 LARGEST = 1e6  # of a number, in its unit: a kilometre, a meganewton
 MOST_ROWS = 10_000
+# what is expected where the key alone does not tell
+VECTORS = {
+    "rotate": "3 numbers, the angles in degrees about x, y and z such as [180, 0, 0],",
+    "origin": "3 numbers, the point of the file in mm such as [200, 100, 0],",
+    "place": "2 numbers, x and y in mm such as [10, 0],",
+}
 
 
 @dataclass(frozen=True)
@@ -176,6 +183,8 @@ class SceneFile:
     outputs : dict
         `pictures` and `increments`: whether these files are written.
     standings : dict of "table.key" to standing
+    source : str
+        File that it was read from, from the root; empty for a built-in one.
     """
 
     name: str
@@ -196,6 +205,7 @@ class SceneFile:
     rows: float = 5.0
     outputs: dict[str, bool] = field(default_factory=lambda: {"pictures": True, "increments": True})
     standings: dict[str, str] = field(default_factory=dict)
+    source: str = field(default="", compare=False)
 
 
 def built_in() -> list[str]:
@@ -218,7 +228,8 @@ def load(name: str) -> SceneFile:
         path = Path(name)
     else:
         raise InputError(f"unknown scene '{name}': {suggestion(name, built_in())}, or a .toml file")
-    return read_toml(path, lambda table: _Reader(path.parent).scene(table, path.stem))
+    file = read_toml(path, lambda table: _Reader(path.parent).scene(table, path.stem))
+    return file if name in built_in() else replace(file, source=str(path.resolve()))
 
 
 class _Reader:
@@ -326,6 +337,12 @@ class _Reader:
     def tool(self, name: str, tools: Table) -> ToolPart:
         where = f"tools.{name}"
         table = self.table(tools, name, where="tools.", required=True)
+        if "role" not in table and (near := difflib.get_close_matches(name, MOTIONS, n=1)):
+            if near[0] != name:
+                raise InputError(
+                    f"[{where}] did you mean [tools.{near[0]}]? Another name needs role = 'punch', "
+                    "'die' or 'holder'"
+                )
         role = self.choice(table, "role", where, tuple(MOTIONS), name if name in MOTIONS else None)
         common = ["role", "motion", "friction", "mass", "force", "z", "place", "tilt"]
         if "file" in table:
@@ -491,9 +508,8 @@ class _Reader:
             type(c) in (int, float) and abs(c) <= LARGEST for c in value
         )
         if not numbers or len(value) != length:
-            raise InputError(
-                f"[{where}] {key} = {value!r}: expected {length} numbers of up to {LARGEST:g}"
-            )
+            wanted = VECTORS.get(key, f"{length} numbers")
+            raise InputError(f"[{where}] {key} = {value!r}: expected {wanted} of up to {LARGEST:g}")
         return tuple(float(c) for c in value)
 
     def flag(self, table: Table, key: str, where: str, default: bool) -> bool:

@@ -27,27 +27,29 @@ from pathlib import Path
 
 import numpy as np
 from scipy.ndimage import spline_filter, zoom
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
 from .checks import InputError, check_number
 from .surface_file import (
-    MERGED,
     Surface,
     check_numbers,
     edges_of,
+    holes_of,
+    loops_of,
     naming,
     normals_of,
     optional,
-    read_surface,
+    position,
+    read_repaired,
 )
 from .tool import Distance
 
 FloatArray = np.ndarray
 
 SPACING = 2.0  # mm
-PINHOLE = 0.05  # a rim that encloses less than this share of the surface is a hole
+AT_RIM = 1e-6  # of the surface's size: feet nearer to the rim lie on it
+UNITS = {"mm": 1.0, "inches": 25.4, "metres": 1e3, "centimetres": 10.0, "micrometres": 1e-3}
+REMEDY = "export it anew as one watertight body, or mend it in CAD, MeshLab or Blender"
 LOST = 0.4  # of a normal's length along n: walls and gaps thinner than a cell
 BAND = 8.0  # cells of each level next to the surface whose nodes get exact distances
 MARGIN = 5  # cells (and 10 mm) of grid around the tool
@@ -164,7 +166,20 @@ def placed(
     rotate: tuple[float, float, float] = (0.0, 0.0, 0.0),
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> Surface:
-    """Read a surface and put it in the tool's frame.
+    """Read a surface, mend it and put it in the tool's frame: `placed_and_told` without words."""
+    return placed_and_told(path, scale, flip, rotate, origin)[:2]
+
+
+def placed_and_told(
+    path: str | Path,
+    scale: float = 1.0,
+    flip: bool = False,
+    rotate: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> tuple[FloatArray, np.ndarray, list[str]]:
+    """Read a surface, mend it and put it in the tool's frame.
+
+    A point p of the file comes to R (scale p - origin), R turning about the fixed axes x, y, z.
 
     Parameters
     ----------
@@ -180,12 +195,94 @@ def placed(
 
     Returns
     -------
-    vertices, triangles
-        As `read_surface`.
+    vertices, triangles, repairs
+        As `read_repaired`.
     """
-    vertices, triangles = read_surface(path, scale)
+    vertices, triangles, repairs = read_repaired(path, scale)
     vertices = Rotation.from_euler("xyz", rotate, degrees=True).apply(vertices - origin)
-    return vertices, triangles[:, ::-1] if flip else triangles
+    return vertices, triangles[:, ::-1] if flip else triangles, repairs
+
+
+def moved_origin(
+    rotate: tuple[float, float, float], origin: tuple[float, float, float], dx: float, dy: float
+) -> str:
+    """The `origin` that moves a placed surface by -dx and -dy (mm), as a line of a scene file."""
+    turned_back = Rotation.from_euler("xyz", rotate, degrees=True).inv().apply([dx, dy, 0.0])
+    return "origin = [{:.4g}, {:.4g}, {:.4g}]".format(
+        *(np.round(np.add(origin, turned_back), 6) + 0.0)
+    )
+
+
+def doubts(
+    vertices: FloatArray,
+    triangles: np.ndarray,
+    role: str,
+    rotate: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    flip: bool = False,
+) -> list[str]:
+    """What makes an open surface look upside down or inside out, and the line that mends it.
+
+    Parameters
+    ----------
+    vertices, triangles : (n, 3) and (m, 3) array
+        In the tool's frame, mm.
+    role : "punch", "holder" or "die"
+        The first two face down, to the sheet, the die up.
+    rotate, flip
+        As applied already.
+    """
+    edges, count, _ = edges_of(triangles)
+    loops = loops_of(vertices, edges[count == 1])
+    if not loops:
+        return []
+    # turned by another 180 degrees about x, which reverses the turns about y and z
+    over = np.array([180.0 - (-rotate[0] % 360), -rotate[1], -rotate[2]]) + 0.0
+    upside_down = "rotate = [{:g}, {:g}, {:g}]".format(*over)
+    turn_inside_out = f"flip = {str(not flip).lower()}"
+    z = vertices[:, 2] - vertices[:, 2].min()
+    height = z.max()
+    if role == "punch" and height > 1e-3 * np.ptp(vertices) and z[loops[0]].mean() < 0.1 * height:
+        return [f"the surface is open towards the sheet: upside down? {upside_down}"]
+    up = normals_of(vertices[triangles])[:, 2].sum()
+    if up * (1 if role == "die" else -1) < 0:
+        return [
+            f"its normals point away from the sheet: inside out? {turn_inside_out}; or upside "
+            f"down? {upside_down}"
+        ]
+    return []
+
+
+def check_size(size: float, reach: float, scale: float = 1.0) -> None:
+    """Refuse a tool of a size that only a wrong unit explains.
+
+    Parameters
+    ----------
+    size, reach : float
+        Of the tool and of the blank, mm.
+    scale : float
+        mm per unit of the file, as applied already.
+
+    Raises
+    ------
+    InputError
+        Naming the units that would explain it.
+    """
+    if not reach / 50 <= size <= reach * 50:
+        raise InputError(
+            f"the tool is {size:.3g} mm across (scale = {scale:g}) beside a sheet of "
+            f"{reach:.3g} mm: {likely_unit(size / scale, reach)}"
+        )
+
+
+def likely_unit(size: float, reach: float) -> str:
+    """Which scale brings a tool of `size` units nearest to `reach` (mm), in words."""
+    known = {unit: mm for unit, mm in UNITS.items() if reach / 12 < mm * size < 2 * reach}
+    near = sorted(known, key=lambda unit: abs(np.log(known[unit] * size / reach)))
+    if not near:
+        return "check scale, the mm per unit of the file"
+    return "is the file in " + ", or in ".join(
+        f"{unit}? set scale = {known[unit]:g} ({known[unit] * size:.3g} mm)" for unit in near[:2]
+    )
 
 
 def check_surface(
@@ -218,30 +315,23 @@ def check_surface(
         Naming the defect and where it is.
     """
     check_numbers(vertices, triangles)
-    size = np.ptp(vertices[triangles].reshape(-1, 3), axis=0).max()
     if reach is not None:
-        what = f"the tool is {size:.3g} mm across beside a sheet of {reach:.3g} mm"
-        if size < reach / 50:
-            raise InputError(f"{what}: is it in metres? set scale = {1000 * scale:g}")
-        if size > reach * 50:
-            raise InputError(f"{what}: is it in micrometres? set scale = {scale / 1000:g}")
+        check_size(np.ptp(vertices[triangles].reshape(-1, 3), axis=0).max(), reach, scale)
     edges, count, turns = edges_of(triangles)
     _refuse(vertices, edges[count > 2], "shared by more than two triangles")
     opposite = (count == 2) & (turns != 0)
     _refuse(vertices, edges[opposite], "between triangles with opposite normals")
     corners = vertices[triangles] - vertices.mean(0)
-    rim = edges[count == 1]
-    if len(rim) == 0 and np.linalg.det(corners).sum() < 0:
+    if (count == 2).all() and np.linalg.det(corners).sum() < 0:
         raise InputError(f"the normals point inwards: set flip = {str(not flip).lower()}")
-    area = np.linalg.norm(normals_of(corners), axis=1).sum()
-    for i, loop in enumerate(_loops(vertices, rim)):
+    for loop in holes_of(vertices, triangles):
         start, end = vertices[loop[:, 0]], vertices[loop[:, 1]]
-        centre = start.mean(0)
         along = start + np.linspace(0.0, 1.0, 20)[:, None, None] * (end - start)
-        in_box = low is None or high is None or ((along > low) & (along < high)).all(-1).any()
-        enclosed = np.linalg.norm(np.cross(start - centre, end - centre).sum(0))
-        if in_box and (i > 0 or enclosed < PINHOLE * area):
-            raise InputError(f"a hole of {len(loop)} edges around {_position(centre)}: close it")
+        if low is None or high is None or ((along > low) & (along < high)).all(-1).any():
+            raise InputError(
+                f"a hole of {len(loop)} edges, {np.ptp(start, axis=0).max():.3g} mm across, around "
+                f"{position(start.mean(0))}: close it ({REMEDY})"
+            )
 
 
 def surface_grid(
@@ -282,7 +372,10 @@ def surface_grid(
     low = np.maximum(low, vertices.min(0) - margin)
     high = np.minimum(high, vertices.max(0) + margin)
     if (low >= high).any():
-        raise InputError("the tool is nowhere near the sheet: check origin, rotate and scale")
+        box = " to ".join(position(end) for end in (vertices.min(0), vertices.max(0)))
+        raise InputError(
+            f"the tool is nowhere near the sheet, it spans {box}: check origin, rotate and scale"
+        )
     cells = np.ceil(((high - low) / h + 2 * PAD) / 9).astype(int)
     if (nodes := np.prod(9.0 * cells + 1.0)) > MOST_NODES:
         at_least = h * (nodes / MOST_NODES) ** (1 / 3)
@@ -318,7 +411,7 @@ def _deviation(grid: SurfaceGrid, vertices: FloatArray, triangles: np.ndarray) -
     if lost.sum() > 0.01 * area.sum():
         raise InputError(
             f"walls, gaps or bodies in each other that a grid of {grid.spacing:g} mm cannot show, "
-            f"for one at {_position(centres[lost.argmax()])}: set a smaller spacing"
+            f"for one at {position(centres[lost.argmax()])}: set a smaller spacing"
         )
     return float(np.abs(d).max())
 
@@ -340,27 +433,11 @@ def _signed_distance(
     to_rim = np.sqrt(igl.point_mesh_squared_distance(foot, vertices, rim)[0])
     behind = np.minimum(np.einsum("pi,pi->p", points - foot, normal), 0.0)
     from_wall = np.sqrt(np.maximum(d**2 - behind**2, 0.0))
-    on_rim = to_rim < MERGED * np.ptp(vertices)
+    on_rim = to_rim < AT_RIM * np.ptp(vertices)
     return np.where(on_rim, from_wall, np.where(d < 0, -np.minimum(-d, to_rim), d))
 
 
-def _loops(vertices: FloatArray, rim: np.ndarray) -> list[np.ndarray]:
-    """Edges (k, 2) of each connected part of the rim, the longest first."""
-    n = len(vertices)
-    joined = coo_array((np.ones(len(rim)), rim.T), shape=(n, n))
-    part = connected_components(joined, directed=False)[1][rim[:, 0]]
-    starts = np.flatnonzero(np.diff(np.sort(part))) + 1
-    loops = np.split(rim[np.argsort(part, kind="stable")], starts)
-    return sorted(
-        filter(len, loops), key=lambda e: -np.linalg.norm(np.subtract(*vertices[e.T]), axis=1).sum()
-    )
-
-
 def _refuse(vertices: FloatArray, edges: np.ndarray, what: str) -> None:
-    if len(edges):
-        at = _position(vertices[edges[0]].mean(0))
-        raise InputError(f"{len(edges)} edges {what}, one at {at}")
-
-
-def _position(point: FloatArray) -> str:
-    return "({:.4g}, {:.4g}, {:.4g}) mm".format(*point)
+    if n := len(edges):
+        at = position(vertices[edges[0]].mean(0))
+        raise InputError(f"{n} edge{'s' * (n > 1)} {what}, one at {at}: {REMEDY}")

@@ -447,6 +447,10 @@ class Tool:
         if self.tilts and self.motion != "free":
             raise InputError(f"{self.name}: only a free tool tilts")
 
+    def gap(self, points: FloatArray, travel: float = 0.0) -> FloatArray:
+        """(n,) distances of points (n, 3) from the tool at a travel along z, mm."""
+        return self.shape.distance(points - [*self.place, self.height + travel])[0]
+
 
 def _outer(u: FloatArray, v: FloatArray) -> FloatArray:
     return u[:, :, None] * v[:, None, :]

@@ -5,14 +5,16 @@ import shutil
 import subprocess
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 import quasiform as qf
-from quasiform import doctor, forecast, scene_file
+from quasiform import cli, doctor, forecast, scene_file
 from quasiform.cli import main
 from quasiform.progress import _words
 from quasiform.result import package_version
+from quasiform.solve import linear
 from quasiform.solve.linear import SuperLU
 
 
@@ -96,17 +98,41 @@ def test_doctor_tells_what_is_missing_or_broken(monkeypatch):
     monkeypatch.setattr(doctor.shutil, "which", lambda name: None)
     monkeypatch.setenv("MKL_NUM_THREADS", "3")
     found = dict(doctor.examine())
-    assert "(libmkl_rt.so.2: cannot open)" in found["linear solver pardiso"]
+    words = "missing or broken: the fastest; libmkl_rt.so.2: cannot open; pip install"
+    assert found["linear solver pardiso"] == f"{words} 'quasiform[fast]'"
     assert "is used" in found["linear solver superlu"]
     assert found["MKL_NUM_THREADS"] == "3"
     assert found["plotly"].endswith("pip install 'quasiform[report]'")
     assert found["ffmpeg"].startswith("missing")
 
 
+def test_doctor_names_a_remedy_once(monkeypatch):
+    def absent(*given):
+        raise ImportError
+
+    monkeypatch.setattr(linear.Pardiso, "__init__", absent)
+    told = dict(doctor.examine())["linear solver pardiso"]
+    words = "missing or broken: the fastest; linear solver 'pardiso' is not installed"
+    assert told == f"{words}: pip install 'quasiform[fast]'"
+
+
 def test_doctor_does_not_trust_a_wrong_solution(monkeypatch):
     solve = SuperLU.solve
     monkeypatch.setattr(SuperLU, "solve", lambda self, b: -solve(self, b))
     assert "its solution is wrong" in dict(doctor.examine())["linear solver superlu"]
+
+
+# Numbers in words
+
+
+@pytest.mark.parametrize(("lines", "words"), [(1, "1 line to cut"), (2, "2 lines to cut")])
+def test_lines_to_cut(monkeypatch, capsys, lines, words):
+    pattern = SimpleNamespace(
+        trim=[None] * lines, area=2.0, notices=(), save=lambda folder, force: Path(folder).mkdir()
+    )
+    monkeypatch.setattr(cli, "flat_pattern", lambda *given, **named: pattern)
+    assert cli.main(["export", "x", "--trim", "edge", "--out", "out"]) == 0
+    assert f"\n{words}, 2 mm² inside\n" in capsys.readouterr().out
 
 
 # Expected time

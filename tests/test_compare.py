@@ -13,7 +13,7 @@ import shapely
 import quasiform as qf
 from quasiform.blank import rotation
 from quasiform.cli import main
-from quasiform.compare import FILES, compare
+from quasiform.compare import FILES, compare, picture
 from quasiform.compare.mapping import carried
 from quasiform.compare.place import unfolded
 from quasiform.compare.read import Reading, read_run
@@ -172,6 +172,90 @@ def test_means_over_areas(result, tmp_path):
     assert row.difference == pytest.approx(-2.0, abs=0.02)
 
 
+@pytest.fixture(scope="module")
+def dome(tmp_path_factory):
+    """A formed hemisphere and its folder."""
+    run = qf.solve(qf.forming("hemisphere", size=12, travel=20), estimate=False)
+    return run, run.save(tmp_path_factory.mktemp("dome") / "first", pictures=False)
+
+
+def test_numbers_of_a_result_are_those_of_its_summary(dome):
+    run, folder = dome
+    summary = run.summary()
+    for found in (compare(folder, folder), compare(run, folder)):
+        for words, name in (("mean", "mean"), ("99th percentile", "p99"), ("maximum", "max")):
+            row = found[f"{words} of |γ|"]
+            for value in (row.result, row.reference):
+                assert value == pytest.approx(summary["shear_angle_deg"][name], abs=1e-6)
+        for name, value in summary["areas"].items():
+            row = found[f"mean |γ| in area {name}"]
+            assert row.result == pytest.approx(value, abs=1e-6)
+            assert row.over.endswith("triangles")
+        assert any("as in summary.json" in note for note in found.notes)
+        assert found.locking == pytest.approx((np.degrees(np.arcsin(0.819)),) * 2)
+    assert found.names == (run.scene.name, "first")
+
+
+def test_means_at_points_say_how_many_they_are_of(dome, tmp_path):
+    _, folder = dome
+    X = np.array([[50.0, 50.0], [50.0, 55.0], [110.0, 110.0], [0.0, 0.0]])
+    path = write_points(tmp_path / "p.csv", "x0,y0,gamma", [*X.T, np.full(4, 3.0)])
+    found = compare(folder, path)
+    assert found["mean |γ| in area green"].over == "2 points"
+    assert found["mean |γ| in area pink"].over == "1 point"
+    assert "1 point" in found.table()
+    notes = " ".join(found.notes)
+    assert "not those of summary.json" in notes
+    assert "means of few say little of an area: green (2 points), pink (1 point)" in notes
+    assert "area blue: no point of both" in notes
+
+
+def test_a_misplaced_reference_is_warned_of(result, tmp_path):
+    X, _, _ = flat_mesh(21)
+    x = formed(X)
+    path = write_points(tmp_path / "p.csv", "x,y,z,gamma", [*x.T, gamma_of(X)])
+    assert not any("warning" in note for note in compare(result, path).notes)
+    path = write_points(
+        tmp_path / "off.csv", "x,y,z,gamma", [*np.add(x, [60, 0, 0]).T, gamma_of(X)]
+    )
+    found = compare(result, path, within=8.0)
+    assert found.notes[0].startswith("warning: ")
+    assert "of the reference is off the result and left out: try --align shift" in found.notes[0]
+    assert not any("warning" in note for note in compare(result, path, align="shift").notes)
+
+
+def test_blanks_that_differ_are_warned_of(result, tmp_path):
+    mesh = mesh_of(31)
+    small = meshio.Mesh(0.8 * mesh.points, mesh.cells, mesh.point_data)
+    small.point_data["displacement"] = 0.8 * small.point_data["displacement"]
+    write_result(tmp_path / "small", small)
+    found = compare(tmp_path / "small", result)  # whose blank covers that of the result
+    assert found.notes[0].startswith("warning: the flat blanks differ on 36 % of what they cover")
+    assert "160 x 128 mm" in found.notes[0]
+    mesh_of(29).write(tmp_path / "same.vtu")
+    assert not any("warning" in note for note in compare(result, tmp_path / "same.vtu").notes)
+
+
+def test_equal_folders_are_told_by_their_paths(result, tmp_path):
+    (tmp_path / "a").mkdir()
+    other = write_result(tmp_path / "a" / "result")
+    assert compare(result, other).names == (str(result), str(other))
+
+
+def test_each_sheet_is_drawn_on_its_own_shape(result, tmp_path):
+    mesh = mesh_of(21)
+    moved = meshio.Mesh(np.add(mesh.points, [7.0, 0, 0]), mesh.cells, mesh.point_data)
+    moved.point_data["displacement"] = np.add(mesh.point_data["displacement"], [7.0, 0, 0])
+    moved.write(tmp_path / "moved.vtu")
+    found = compare(result, tmp_path / "moved.vtu", by="flat")
+    mine, theirs, both = (
+        picture._shown(found, panel)[0].places[:, 0].mean()
+        for panel in ("result", "reference", "difference")
+    )
+    assert theirs - mine == pytest.approx(7.0)
+    assert both == mine
+
+
 def test_ratio_of_energies_of_an_explicit_reference(result, tmp_path):
     explicit = write_result(tmp_path / "explicit")
     s = np.linspace(0.0, 50.0, 6)
@@ -266,6 +350,7 @@ def test_a_quarter_is_unfolded(tmp_path, signed):
     for by in ("flat", "formed"):
         found = compare(whole, tmp_path / "quarter.vtu", mirror=("x", "y"), signed=signed, by=by)
         assert found[f"difference of {word}, root mean square"].difference < 0.1
+        assert abs(found[f"mean of {word}"].difference) < 0.1  # by triangle
         on_plane = np.abs(found.field.flat).min(1) < 1e-9
         assert np.median(np.abs(found.difference[on_plane])) < (0.02 if signed else 0.3)
         assert found[FAR].difference < 1e-6
@@ -563,7 +648,7 @@ def test_bands(result, tmp_path):
         assert "MISSED" in missed.table()
         assert "MISSED" in missed.markdown()
         table = [line for line in missed.markdown().splitlines() if line.startswith("| ")]
-        assert all(line.replace(r"\|", "").count("|") == 8 for line in table)
+        assert all(line.replace(r"\|", "").count("|") == 9 for line in table)
 
 
 def test_files(result, tmp_path):

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 import quasiform as qf
+from tests.chromium import opened, program
 
 ROOT = Path(__file__).parent.parent
 pytest.importorskip("mkdocs")
@@ -60,6 +61,19 @@ def test_every_public_name_and_command_is_in_the_reference(site):
     for command in ("oat", "form", "identify", "compare", "validate", "resume"):
         assert f'id="quasiform-{command}"' in commands
         assert f"usage: quasiform {command}" in commands
+
+
+@pytest.mark.skipif(not program(), reason="needs a Chromium")
+def test_names_stay_whole_and_code_is_not_cut_off(site, tmp_path):
+    pytest.importorskip("websocket")
+    cut = """[...document.querySelectorAll('pre > code')].filter(
+        e => e.scrollWidth > e.clientWidth + 1).map(e => e.textContent.slice(0, 60))"""
+    broken = """[...document.querySelectorAll('td:first-child code')].filter(
+        e => e.getClientRects().length > 1).map(e => e.textContent)"""
+    for page in ("tutorial", "reference/scene-files", "reference/files", "how-to/pictures"):
+        folder = tmp_path / page.replace("/", "-")
+        with opened(site / f"{page}.html", folder, 1300, 900) as tab:
+            assert (page, tab.value(cut), tab.value(broken)) == (page, [], [])
 
 
 def test_one_version():

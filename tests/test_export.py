@@ -5,6 +5,7 @@ import json
 import re
 import shutil
 import subprocess
+import sys
 import xml.etree.ElementTree as ET
 
 import meshio
@@ -13,13 +14,14 @@ import pytest
 
 import quasiform as qf
 from quasiform.checks import InputError
+from quasiform.cli import main
 from quasiform.export import FORMATS, abaqus_deck, carry, export, flat_pattern, part_of
 from quasiform.export.handover import FILES
 from quasiform.export.target import read_target
 from quasiform.export.tool_surface import from_scene_file, sampled
 from quasiform.files import FILES as RESULT_FILES
 from quasiform.material import TabulatedLaw
-from quasiform.scene_file import load
+from quasiform.scene_file import FOLDER, load
 from quasiform.tool import ball, round_opening, turned
 
 FABRIC = {
@@ -31,6 +33,7 @@ FABRIC = {
     "shear": {"C_ini": 0.4},
 }
 HALF = 50.0  # mm
+BOX = [[-20.0, -10.0], [20.0, -10.0], [20.0, 10.0], [-20.0, 10.0]]
 
 
 def mesh_of(n, half=HALF):
@@ -833,6 +836,67 @@ def test_pattern_reads_back_at_its_real_size(tmp_path):
     assert "plies of a stack" in (tmp_path / "out" / "pattern.txt").read_text(encoding="utf-8")
     with pytest.raises(InputError, match="holds a result already"):
         pattern.save(tmp_path / "out")
+
+
+def test_without_ezdxf_the_rest_is_written(tmp_path, monkeypatch, capsys):
+    folder = write_result(tmp_path / "r", dome, 21)
+    argv = ["export", str(folder), "--trim", "edge", "--out", str(tmp_path / "out")]
+    monkeypatch.setitem(sys.modules, "ezdxf", None)
+    assert main(argv) == 0
+    said = capsys.readouterr().out
+    assert "note: pattern.dxf is left out" in said
+    assert "pip install ezdxf" in said
+    assert said.splitlines()[-1].endswith("pattern.svg, pattern.csv, pattern.txt")
+    names = {path.name for path in (tmp_path / "out").iterdir()}
+    assert names == {"pattern.svg", "pattern.csv", "pattern.txt"}
+    assert "pip install ezdxf" in (tmp_path / "out" / "pattern.txt").read_text(encoding="utf-8")
+
+
+def test_points_of_a_pattern_as_csv(tmp_path):
+    pattern = flat_pattern(write_result(tmp_path / "r", dome, 21), dome(np.array(BOX)))
+    pattern.save(tmp_path / "out")
+    with (tmp_path / "out" / "pattern.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    trim = [[float(r["x_mm"]), float(r["y_mm"])] for r in rows if r["layer"] == "TRIM"]
+    np.testing.assert_allclose(trim, pattern.trim[0], atol=1e-3)
+
+
+@pytest.mark.parametrize("to", FORMATS)
+def test_the_command_prints_what_is_of_this_part_alone(tmp_path, capsys, to):
+    folder = write_result(tmp_path / "r", dome, status="stopped")
+    assert main(["export", str(folder), "--to", to, "--out", str(tmp_path / "out")]) == 0
+    said = capsys.readouterr().out
+    told = (tmp_path / "out" / "handover.txt").read_text(encoding="utf-8")
+    assert "the run stopped before its goal" in said
+    assert "several plies" not in said
+    assert "several plies" in told
+    general = int(re.search(r"and (\d+) notes true of every such export, in handover.txt", said)[1])
+    assert said.count("  note: ") + general == told.count("\n- ")
+
+
+@pytest.mark.parametrize("where", ["recorded", "beside", "moved away"])
+def test_scene_of_a_result_is_found_from_any_folder(tmp_path, monkeypatch, where):
+    def drawn_in(X):
+        return np.pad(0.9 * X, ((0, 0), (0, 1)))
+
+    (tmp_path / "runs").mkdir()
+    folder = write_result(tmp_path / "runs" / "r", drawn_in, 61, half=155.0, scene="mine.toml")
+    scene = tmp_path / ("elsewhere.toml" if where == "recorded" else "runs/mine.toml")
+    text = (FOLDER / "hemisphere.toml").read_text(encoding="utf-8")
+    if where != "moved away":
+        scene.write_text(text.replace("radius = { value = 80.0", "radius = { value = 70.0"))
+    if where == "recorded":
+        content = json.loads((folder / "summary.json").read_text())
+        content["parameters"]["scene_file"] = str(scene)
+        (folder / "summary.json").write_text(json.dumps(content))
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    if where == "moved away":
+        with pytest.raises(InputError, match=r"its scene mine\.toml is in none of .*runs"):
+            flat_pattern(folder, "die")
+        return
+    (line,) = flat_pattern(folder, "die").trim
+    assert np.abs(np.linalg.norm(line, axis=1) - 70.0 / 0.9).max() < 0.05
 
 
 # Wrong input

@@ -913,6 +913,104 @@ def test_what_is_saved(here):
     assert len(drawn) > 20_000
 
 
+@pytest.mark.parametrize(("thickness", "drawn"), [(1.0, 2), (1.6, 2), (6.0, 0)])
+def test_the_picture_hides_no_data(thickness, drawn, monkeypatch):
+    figures = []
+    draw = picture._draw_stress
+    monkeypatch.setattr(
+        picture, "_draw_stress", lambda axes, found: (figures.append(axes), draw(axes, found))
+    )
+    name = "a long name of a test on a fabric in a laboratory.csv"
+    strip_csv(name, "best-fit", rows=60)
+    text = f'standing = "{name}"\n[fabric]\nthickness = {thickness}\n' + 3 * BIAS
+    Path("a.toml").write_text(text.replace("a.csv", name), encoding="utf-8")
+    picture.save_picture(qf.identify("a.toml"), "a.png")
+    (axes,) = figures
+    axes.figure.set_dpi(picture.DPI)  # of the file
+    axes.figure.draw_without_rendering()
+    for each in axes.figure.axes:
+        legend, inside = each.get_legend().get_window_extent(), each.get_window_extent()
+        assert not legend.overlaps(inside)
+        assert inside.width > 0.35 * axes.figure.bbox.width
+        assert inside.height > 0.35 * axes.figure.bbox.height
+        assert axes.figure.bbox.x0 <= legend.x0 < legend.x1 <= axes.figure.bbox.x1
+        assert axes.figure.bbox.y0 <= legend.y0
+    words = [
+        text.get_text() for text in axes.get_legend().get_texts() if "MD600" in text.get_text()
+    ]
+    assert len(words) == 2
+    assert sum("not drawn, over 3 times as high" in text for text in words) == 2 - drawn
+    presets = [line for line in axes.lines if "MD600" in line.get_label() and len(line.get_xdata())]
+    assert len(presets) == drawn
+    for line in presets:  # on the axis, as far as the tests go
+        gamma, stress = line.get_data()
+        assert stress[gamma <= 50.0].max() < axes.get_ylim()[1]
+        assert stress[gamma <= 50.0].max() > 0.04
+
+
+def test_a_preset_that_locks_within_the_tests_is_drawn_up_to_there():
+    onset = LAWS["locking"].stress(0.819)
+    assert picture._tallest(FABRICS["locking"], 60.0, 0.1) == pytest.approx(onset)
+    assert picture._tallest(FABRICS["locking"], 60.0, 0.01) is None
+    assert picture._tallest(FABRICS["locking"], 60.0, 10.0) > 1.0
+
+
+# What was not tested
+
+
+def test_each_value_says_where_it_comes_from(here):
+    strip_csv("a.csv", rows=60)
+    found = qf.identify("a.csv", thickness=1.2, method="table")
+    given = found.fabric.provenance
+    assert (given["standing"], given["standing_of"]) == ("measured", "shear, shear_range")
+    assumed = "assumed: that of MD600 locking"
+    others = ("warp", "weft", "bending_warp", "bending_weft", "friction", "areal_weight")
+    others += ("compaction", "in_plane_bending")
+    assert {name: given[name] for name in others} == dict.fromkeys(others, assumed)
+    assert (given["thickness"], given["shear"]) == ("given", "measured")
+    assert f"not in these tests, taken from MD600 locking: {', '.join(others)}" in found.notices
+    found.save("out")
+    lines = Path("out/material.toml").read_text(encoding="utf-8").splitlines()
+    for line in ("friction = 0.157  # assumed: that of MD600 locking", "thickness = 1.2  # given"):
+        assert line in lines
+    assert "[shear]  # measured" in lines
+    assert "[weft]  # assumed: that of MD600 locking" in lines
+    assert qf.Fabric.load("out/material.toml") == found.fabric
+    # a fabric that is the base of another: what was measured stays so, what was assumed too
+    length, angle = overhang(3.0)
+    Path("bend.toml").write_text(
+        f'[fabric]\nbase = "out/material.toml"\nareal_weight = 600.0\n[[tests]]\n'
+        f'kind = "cantilever"\nfamily = "warp"\noverhang = {length}\nangle = {angle}\n',
+        encoding="utf-8",
+    )
+    given = qf.identify("bend.toml").fabric.provenance
+    assert given["standing_of"] == "bending_warp"
+    assert (given["bending_warp"], given["areal_weight"]) == ("measured", "given")
+    assert (given["shear"], given["friction"]) == ("that of a: measured", assumed)
+
+
+def test_what_a_measured_value_owes_to_an_assumed_one():
+    strip_csv("a.csv", "locking", top=40.0, rows=60)
+    given = qf.identify("a.csv", keep={"C_mid": 0.00196}).fabric.provenance
+    words = "measured, with an assumed thickness; kept: C_mid; not tested: C_lo, I_lo"
+    assert given["shear"] == words
+    length, angle = overhang(3.0)
+    text = f'[[tests]]\nkind="cantilever"\nfamily="warp"\noverhang={length}\nangle={angle}\n'
+    Path("bend.toml").write_text(text, encoding="utf-8")
+    given = qf.identify("bend.toml").fabric.provenance
+    assert given["bending_warp"] == "measured, with an assumed areal_weight"
+    assert given["shear"] == "assumed: that of MD600 locking"
+
+
+def test_a_note_beside_a_value_stays_one_line(here):
+    fabric = qf.Fabric(provenance={"friction": "of\na lab\x07", "thickness": 3, "shear": "x"})
+    fabric.save("f.toml")
+    text = Path("f.toml").read_text(encoding="utf-8")
+    assert "friction = 0.157  # of a lab \n" in text
+    assert "thickness = 1.004\n" in text
+    assert qf.Fabric.load("f.toml") == fabric
+
+
 @pytest.mark.usefixtures("undrawn")
 def test_a_result_stays_unless_it_shall_be_replaced(here):
     strip_csv("a.csv")
@@ -1008,6 +1106,13 @@ def test_options_of_the_test(capsys, here):
         ("data.csv --method table --keep C_lo=5", ["a table has no parameters to keep"]),
         ("data.csv --thickness 0", ["--thickness", "positive number"]),
         ("data.csv --thicknes 1", ["unknown option '--thicknes'", "'--thickness'?"]),
+        ("data.csv --columns forse=2", ["--columns", "'forse'", "did you mean 'force'?"]),
+        ("data.csv --columns force=", ["--columns", "expected NAME=WORD,..."]),
+        ("data.csv --columns force=Kraft", ["'Kraft' not found", "'force_N'"]),
+        ("data.csv --units force=kp", ["unknown unit 'kp' of the force"]),
+        ("bias.toml --columns force=2", ["bias.toml: columns belongs into", "[[tests]]"]),
+        ("bias.toml --thickness 2", ["bias.toml: thickness belongs into", "[fabric]"]),
+        ("odd.csv", ["odd.csv: no column of a displ", '--columns displacement="Way, left (mm)"']),
         ("data.csv --angle 20", ["fibres join both grips"]),
         ("data.csv --length 250", ["data.csv: ", "at 37.28 mm"]),
         ("", ["required: FILE"]),
@@ -1016,10 +1121,63 @@ def test_options_of_the_test(capsys, here):
 def test_wrong_words_are_refused(capsys, here, line, words):
     strip_csv("data.csv", rows=30)
     Path("words.csv").write_text("no numbers\nat all\n", encoding="utf-8")
+    Path("bias.toml").write_text(BIAS.replace("a.csv", "data.csv"), encoding="utf-8")
+    odd = Path("data.csv").read_text(encoding="utf-8")
+    odd = odd.replace("displacement_mm", '"Way, left (mm)"')
+    Path("odd.csv").write_text(odd, encoding="utf-8")
     before = {path.name for path in here.iterdir()}
     assert_refused(capsys, ["identify", *line.split()], *words)
     assert_refused(capsys, ["identify", *line.split(), "--out", "x"], *words)
     assert {path.name for path in here.iterdir()} == before
+
+
+def test_columns_and_units_of_a_file(capsys, here):
+    strip_csv("data.csv", rows=30)
+    rows = Path("data.csv").read_text(encoding="utf-8").split("\n", 1)[1]
+    Path("odd.csv").write_text(f'"Way (x), left",Push\n{rows}', encoding="utf-8")
+    known = load("data.csv").shear[0].curve
+    for columns in ("displacement=Way (x), left,force=Push", 'displacement="1", force="push"'):
+        argv = ["identify", "odd.csv", "--columns", columns, "--dry-run"]
+        assert main([*argv, "--units", "force=N,displacement=mm"]) == 0
+        assert "29 rows" in capsys.readouterr().out
+    columns = {"displacement": "Way (x), left", "force": "Push"}
+    for unit, size in (("inch", 25.4), ("mm", 1.0)):
+        length = {"length": 320 * size, "width": 160 * size}
+        units = {"displacement": unit, "force": "N"}
+        curve = load("odd.csv", columns=columns, units=units, **length).shear[0].curve
+        assert_allclose(curve.displacement, size * known.displacement, rtol=1e-12)
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_sizes_and_defaults_are_told_before_the_fit(capsys, here):
+    strip_csv("data.csv", rows=30)
+    argv = ["identify", "data.csv", "--method", "table", "--width", "160"]
+    assert main([*argv, "--out", "x"]) == 0
+    out = capsys.readouterr().out
+    before, _, after = out.partition("fitting, some seconds\n")
+    assert "thickness 1.004 mm (assumed: that of MD600 locking)" in before
+    words = "Taken as a strip of 320 x 160 mm at 45 degrees; not given, defaults: length, angle."
+    assert words in before
+    assert words not in after
+    assert words in json.loads(Path("x/summary.json").read_text(encoding="utf-8"))["notices"]
+    assert after.count("not in these tests, taken from MD600 locking: warp, weft,") == 1
+    assert main([*argv, "--length", "320", "--angle", "45", "--thickness", "1", "--dry-run"]) == 0
+    out = capsys.readouterr().out
+    assert "thickness 1 mm (given)" in out
+    assert "strip of 320 x 160 mm at 45 degrees.\n" in out
+    assert "fitting" not in out
+    assert "default" not in out
+
+
+def test_a_frame_needs_no_side_for_a_normalised_force():
+    gamma = np.linspace(0.0, 50.0, 60)
+    table("f.csv", "shear_angle_deg,shear_force [N/mm]", gamma, 0.001 * gamma)
+    (test,) = load("f.csv", kind="picture-frame").shear
+    assert test.curve.notices == ()
+    table("f.csv", "shear_angle_deg,force [N]", gamma, 0.1 * gamma)
+    (test,) = load("f.csv", kind="picture-frame", fabric_side=90.0).shear
+    words = "Taken as a frame of 100 mm sides, fabric of 90 mm; not given, defaults: side."
+    assert test.curve.notices == (words,)
 
 
 def test_a_dry_run_writes_nothing(capsys, here):

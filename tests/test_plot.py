@@ -5,6 +5,7 @@ from dataclasses import replace
 import matplotlib
 import numpy as np
 import pytest
+import shapely
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.image import imread
@@ -14,6 +15,7 @@ from quasiform import plot
 from quasiform.blank import rotation
 from quasiform.files import PICTURES
 from quasiform.plot import save_pictures
+from quasiform.scene_file import load
 
 SCENES = {
     "formed": lambda: qf.forming(size=30, travel=10),
@@ -22,6 +24,9 @@ SCENES = {
     "picture frame": lambda: qf.picture_frame(size=25),
     "cantilever": lambda: qf.cantilever(100, 7e-6, width=20, size=10),
 }
+DISC = replace(
+    load("hemisphere"), outline=shapely.Point(0, 0).buffer(110.0, 64), orientation=30.0, areas={}
+)
 
 
 @pytest.fixture(scope="module")
@@ -43,10 +48,9 @@ def painted(result):
     """Faces of the sheet seen from above, from far to near: colours, and corners (n, 3, 2)."""
     axes = Figure().subplots()
     plot._draw_from_above(axes, result, plot._colour_scale(result))
-    (sheet,) = axes.collections
-    filled = sheet.get_facecolors()[:, 3] > 0
+    sheet = axes.collections[0]
     corners = np.array([path.vertices[:3] for path in sheet.get_paths()])
-    return sheet.get_facecolors()[filled, :3], corners[filled]
+    return sheet.get_facecolors()[:, :3], corners
 
 
 def with_end(result, x):
@@ -243,3 +247,42 @@ def test_far_side_is_hidden(results):
     _, corners = painted(result)
     assert len(corners) == len(P)
     assert np.all(np.diff([depth[tuple(c.mean(0).round(6))] for c in corners]) >= -1e-9)
+
+
+def test_lines_behind_the_sheet_are_hidden():
+    """A sheet folded back over itself, seen from above: the lower layer is not seen."""
+    P = np.array([[0.0, 0, 0], [2, 0, 0], [2, 1, 0], [0, 1, 0], [0.5, 0, 1], [0.5, 1, 1]])
+    triangles = np.array([[0, 1, 2], [0, 2, 3], [1, 4, 5], [1, 5, 2]])
+    upper = 1.0 - (1.0 - 0.5) / 1.5
+    points = np.array([[0.2, 0.5, 0.0], [1.0, 0.5, 0.0], [1.0, 0.5, upper], [2.0, 0.5, 0.0]])
+    assert plot.hidden(P, triangles, points).tolist() == [False, True, False, False]
+    axes = Figure().subplots()
+    plot.draw_lines(axes, P, triangles, np.stack([points[:2], points[[2, 3]]]), "black", 1.0)
+    (lines,) = axes.collections
+    # the first has its middle at x = 0.6, below the fold
+    np.testing.assert_allclose([path.vertices for path in lines.get_paths()], [points[2:, :2]])
+
+
+def test_lines_are_joined_and_not_snapped(results):
+    axes = Figure().subplots()
+    result = results["formed"]
+    plot._paint(
+        axes, result, result.positions(), np.ones((len(result.shear_angle), 4)), shaded=False
+    )
+    rim = axes.collections[-1]
+    assert len(rim.get_paths()) == 1
+    assert len(rim.get_paths()[0].vertices) == len(plot._rim(result.blank)) + 1
+    with matplotlib.rc_context(plot.STYLE):
+        assert rim.get_snap() is False
+
+
+def test_largest_draw_in_of_a_disc(results):
+    assert plot._largest_draw_in(results["formed"]) == []
+    scene = qf.forming(DISC, size=20, travel=20)
+    result = qf.solve(scene, estimate=False)
+    ((flat, inward, most, _),) = plot._largest_draw_in(result)
+    np.testing.assert_allclose(inward, -flat / np.linalg.norm(flat), atol=0.05)
+    assert np.linalg.norm(flat) == pytest.approx(110.0, rel=1e-3)
+    turn = np.degrees(np.arctan2(flat[1], flat[0])) % 90.0
+    assert turn == pytest.approx(30.0, abs=10.0)  # along the fibres
+    assert most > 2.0 * max(result.draw_in.values())

@@ -155,6 +155,19 @@ def test_missing_scene_is_said(folders, tmp_path):
     assert (tmp_path / "outline.png").exists()
 
 
+def test_one_flat_blank_for_equal_ones(folders):
+    root, _ = folders
+    run = saved.read(root / "dome")
+    order = np.roll(np.arange(len(run.blank.nodes)), 7)  # the same blank, numbered otherwise
+    other = replace(run)
+    other.__dict__["blank"] = replace(
+        run.blank, nodes=run.blank.nodes[order], triangles=np.argsort(order)[run.blank.triangles]
+    )
+    figure = pictures.PICTURES["outline"]([run, other], ["a", "b"], 60, [])
+    dashed = [line for line in figure.axes[0].lines if line.get_linewidth() == 0.6]
+    assert len(dashed) == 1
+
+
 def test_command(folders, tmp_path, monkeypatch, capsys):
     root, results = folders
     monkeypatch.chdir(tmp_path)

@@ -115,9 +115,38 @@ def test_names(read, heading, name):
 
 
 @pytest.mark.parametrize(
+    ("heading", "name", "unit"),
+    [
+        *(
+            (name, q, "mm" if q == "displacement" else "N")
+            for q in records.SECOND
+            for name in records.SECOND[q].split()
+        ),
+        ("Crosshead displacement (mm)", "displacement", "mm"),
+        ("Position(mm)", "displacement", "mm"),
+        ("Traversenweg in mm", "displacement", "mm"),
+    ],
+)
+def test_names_that_may_be_anothers(read, heading, name, unit):
+    table = {"displacement": X, "force": F}
+    other = ({"displacement", "force"} - {name}).pop()
+    c = read(f"{heading};{other}\n" + rows(table[name], table[other], separator=";"))
+    assert_allclose(getattr(c, name), table[name], rtol=1e-12)
+    assert f"The column '{heading}' was taken as the {name}." in c.notices
+    # beside the name itself they are ignored, and where another column is asked for
+    text = f"{heading};{name} [{unit}];{other}\n"
+    text += rows(table[name] + 1, table[name], table[other], separator=";")
+    c = read(text)
+    assert_allclose(getattr(c, name), table[name], rtol=1e-12)
+    assert not any("was taken as" in notice for notice in c.notices if heading in notice)
+    assert_allclose(getattr(read(text, {name: "2"}), name), table[name], rtol=1e-12)
+
+
+@pytest.mark.parametrize(
     ("quantity", "unit", "size"),
     [
         *(("displacement", u, s) for u, s in [("m", 1e3), ("cm", 10), ("mm", 1), ("in", 25.4)]),
+        ("displacement", "inch", 25.4),
         *(("displacement", u, 1e-3) for u in ["um", "µm", "μm"]),
         *(
             ("force", u, s)
@@ -210,6 +239,20 @@ def broken(k, cell):
         (rows(X, F), None, None, "no line of headings: give positions"),
         (f"time,force\n{rows(X, F)}", None, None, "no column of a displacement or shear angle"),
         (f"time,force\n{rows(X, F)}", None, None, "found 'time', 'force'"),
+        (
+            f"time,Stretch (mm),force\n{rows(X, X, F)}",
+            None,
+            None,
+            'name it with --columns displacement="Stretch (mm)" (in TOML and Python: columns)',
+        ),
+        (rows(X, F), None, None, "--columns displacement=1,force=2 (in TOML and Python: columns)"),
+        (f"weg,force\n{rows(X, F / 1000)}", None, None, '--units force="kN" (in TOML and'),
+        (
+            f"Position,Traversenweg,Kraft\n{rows(X, X, F)}",
+            None,
+            None,
+            "'Position' (column 1) and 'Traversenweg' (column 2) may both be the displacement",
+        ),
         (f"weg,F2\nmm,N\n{rows(X, F)}", None, None, "force or shear force: found 'weg', 'F2'"),
         (
             f"weg,Kraft 1\n{rows(X, F)}",
@@ -229,7 +272,7 @@ def broken(k, cell):
             f"weg,Force,Load\n{rows(X, F, F)}",
             None,
             None,
-            "'Force' (column 2) and 'Load' (column 3) may both be the force: choose with columns={",
+            "'Force' (column 2) and 'Load' (column 3) may both be the force: choose with --columns",
         ),
         (
             f"weg,Force,F_sh\n{rows(X, F, F)}",
@@ -256,7 +299,7 @@ def broken(k, cell):
         (broken(0, "-inf"), None, None, "line 2: the force is not finite: '-inf'"),
         (broken(3, "1e999"), None, None, "line 5: the force is not finite: '1e999'"),
         (curve(X[:7], F[:7]), None, None, "only 7 rows of numbers, at least 8"),
-        (curve(-X, F), None, None, "only 1 rows belong to the loading"),
+        (curve(-X, F), None, None, "only 1 row belongs to the loading"),
         (curve(-X, F), None, None, "the displacement is largest at line 2"),
         (curve(X, np.r_[F[:5], 0 * F[5:]]), None, None, "only 4 rows belong to the loading"),
         (curve(X, -F), None, None, "nowhere positive while loading: is its sign reversed?"),
@@ -325,6 +368,11 @@ def test_jitter_is_left_out(read):
     assert_allclose(c.shear_angle, np.radians(np.delete(LONG, [50, 120, 200])), rtol=1e-12)
     assert_array_equal(c.force, np.delete(law(LONG), [50, 120, 200]))
     assert c.notices == ("3 rows that do not move ahead were left out.",)
+    x = LONG.copy()
+    x[50] -= 0.3
+    c = read("u_mm,F_N\n" + rows(np.r_[x, x[-1] - 1], law(np.r_[LONG, LONG[-1]])))
+    assert "1 row that does not move ahead was left out." in c.notices
+    assert any(n.startswith("1 row after") and n.endswith("was cut.") for n in c.notices)
 
 
 @pytest.mark.parametrize(

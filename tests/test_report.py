@@ -16,6 +16,7 @@ from tests.chromium import opened, program
 from validation import report_html
 from validation.bands import Case, Reference, Row
 from validation.report import about
+from validation.report_text import markdown, verdict
 
 SUITE = Path(validation.__file__).parent
 HEADER = "name,value,tolerance,unit,standing,source,limitation,only\n"
@@ -192,6 +193,24 @@ def test_left_out_rows_are_counted_and_folded_away():
     assert "Rows that only the full suite computes: 1" in text
     assert '<th class="n">left out</th>' in text
     assert case.held
+
+
+@pytest.mark.parametrize(("left_out", "mostly"), [(1, False), (2, False), (3, True)])
+@pytest.mark.parametrize("quick", [True, False])
+def test_a_case_that_is_mostly_left_out_has_no_tick(left_out, mostly, quick):
+    only = "full" if quick else "quick"
+    known = Reference("held", 1.0, "max", "N", "own", "none")
+    slow = Reference("slow", 1.0, "max", "N", "own", "none", only=only)
+    rows = 2 * (Row(known, 0.5, quick=quick),) + left_out * (Row(slow, None, quick=quick),)
+    case, this = Case("formed", rows=rows), about(quick=quick, left_out=[])
+    assert case.held
+    words = f"mostly left out by the {'quick' if quick else 'full'} suite"
+    page, text = report_html.page(this, [case], []), markdown(this, [case], [])
+    assert (words in page) == (f"`formed` ({words}) |" in text) == mostly
+    assert ('<span class="state">✓</span>' in page) != mostly
+    assert ('<span class="mark state">✓</span>' in page) != mostly
+    told = f"Every band held in 1 case; 1 case {words}." if mostly else "Every band held in 1 case."
+    assert verdict([case], []) == told
 
 
 def test_markdown_and_junit(report):

@@ -1,6 +1,7 @@
 """Tools from surface files: readers, checks, and a distance with its own derivatives."""
 
 import pickle
+import re
 import signal
 import sys
 import warnings
@@ -12,7 +13,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from quasiform.checks import InputError
-from quasiform.surface import check_surface, from_file, placed, surface_grid
+from quasiform.forming import forming
+from quasiform.surface import check_surface, from_file, placed, placed_and_told, surface_grid
 from quasiform.surface_file import read_surface
 
 pytest.importorskip("igl")
@@ -199,7 +201,7 @@ def test_flip_turns_an_open_surface_round(tmp_path):
 def test_holes_count_only_where_the_sheet_can_be():
     holed = without(plate(4), [5, 21])  # a square of 10 mm
     check_surface(*holed, [1, -30, -5], [30, 30, 5])
-    with pytest.raises(InputError, match=r"^a hole of 4 edges around \(-5, -5, 0\) mm: close it"):
+    with pytest.raises(InputError, match=r"^a hole of 4 edges, 10 mm across, around \(-5, -5, 0\)"):
         check_surface(*holed, [-30, -30, -5], [30, 30, 5])
 
 
@@ -245,7 +247,7 @@ def without(surface, rows):
             r"^2 edges shared by more than two triangles, one at \(.*\) mm",
         ),
         (turned(ball(8), slice(None)), "the normals point inwards: set flip = true"),
-        (without(ball(8), [100]), r"a hole of 3 edges around \(.* mm: close it"),
+        (without(ball(8), [100]), r"a hole of 3 edges, .* mm across, around \(.* mm: close it"),
     ],
 )
 def test_defects_are_named(surface, message):
@@ -262,9 +264,18 @@ def test_message_on_inverted_normals_knows_of_flip():
 @pytest.mark.parametrize(
     ("size", "scale", "message"),
     [
-        (150e-3, 1.0, "0.15 mm across .* 310 mm: is it in metres. set scale = 1000$"),
-        (150e-3, 0.001, "is it in metres. set scale = 1$"),
-        (150e3, 1.0, "1.5e[+]05 mm across .* 310 mm: is it in micrometres. set scale = 0.001$"),
+        (
+            150e-3,
+            1.0,
+            r"0.15 mm across \(scale = 1\) .* 310 mm: is the file in metres. set scale =",
+        ),
+        (150e-3, 1.0, r"set scale = 1000 \(150 mm\)$"),
+        (150e-3, 0.001, r"is the file in mm. set scale = 1 \(150 mm\)"),
+        (150e3, 1.0, r"1.5e[+]05 mm .* 310 mm: is the file in micrometres. set scale = 0.001 "),
+        (150e6, 1e6, r"is the file in mm. set scale = 1 \(150 mm\)$"),
+        (70e3, 1e6, r"is the file in metres. set scale = 1000 \(70 mm\)$"),  # not in micrometres
+        (70 / 25.4, 1.0, r"is the file in inches. set scale = 25.4 \(70 mm\), or in centimetres"),
+        (1e-7, 1.0, "check scale, the mm per unit of the file$"),
     ],
 )
 def test_wrong_units_are_noticed(size, scale, message):
@@ -276,7 +287,12 @@ def test_wrong_units_are_noticed(size, scale, message):
 @pytest.mark.parametrize(
     ("surface", "low", "spacing", "message"),
     [
-        (ball(8), (100, 100, 100), 2.0, "nowhere near the sheet"),
+        (
+            ball(8),
+            (100, 100, 100),
+            2.0,
+            r"nowhere near the sheet, it spans \(-20, -20, -20\) mm to",
+        ),
         (ball(8), (-30, -30, -30), 0.01, "grid of .* nodes: set spacing = 0.1. or more"),
         (ball(8), (-30, -30, -30), -1.0, "spacing must be a positive number, got -1"),
         (block(low=(-20, -20, 19.2)), (-30, -30, -30), 2.0, "that a grid of 2 mm cannot show"),
@@ -374,6 +390,14 @@ def test_placement_scales_moves_then_turns_about_x_then_y_then_z(tmp_path):
     assert_allclose(vertices.max(0), [30, 0, 20], atol=1e-9)
 
 
+def test_placement_of_the_how_to(tmp_path):
+    """The punch of docs/how-to/own-part.md: its tip comes to the origin, its base above it."""
+    points = np.array([[200.0, 100, 40], [235, 100, 0], [200, 130, 0]])
+    meshio.Mesh(points / 25.4, [("triangle", [[0, 1, 2]])]).write(tmp_path / "tool.vtu")
+    vertices, _ = placed(tmp_path / "tool.vtu", 25.4, False, (180, 0, 0), (200, 100, 40))
+    assert_allclose(sorted(vertices.tolist()), [[0, -30, 40], [0, 0, 0], [35, 0, 40]], atol=1e-9)
+
+
 @pytest.mark.parametrize(
     ("name", "text", "message"),
     [
@@ -384,12 +408,14 @@ def test_placement_scales_moves_then_turns_about_x_then_y_then_z(tmp_path):
         ("junk.vtu", "<a>", "junk.vtu: not a readable .vtu file: ReadError"),
         ("junk.ply", "ply", "junk.ply: not a readable .ply file: no end_header"),
         ("junk.msh", 'SystemCall "touch x";', "junk.msh: not a readable .msh file"),
+        ("cut.stl", b"\0" * 80 + b"\2\0\0\0" + b"\xdf" * 60, "cut off, 1 triangles of the 2 that"),
+        ("cut.stl", "solid\n facet normal 0 0 1\n  outer loop\n   vertex", "cut off, without ends"),
         ("tool.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n", "a triangle refers to a vertex"),
     ],
 )
 def test_unreadable_files_are_refused_by_name(tmp_path, capfd, name, text, message):
     if text is not None:
-        (tmp_path / name).write_text(text)
+        (tmp_path / name).write_bytes(text if isinstance(text, bytes) else text.encode())
     with pytest.raises(InputError, match=message) as refusal:
         from_file(tmp_path / name, *BOX)
     assert str(refusal.value).startswith(str(tmp_path))
@@ -403,6 +429,198 @@ def test_errors_of_the_surface_name_the_file(tmp_path):
     with pytest.raises(InputError, match=r"tool.vtu: the normals point inwards: set flip = true"):
         from_file(tmp_path / "tool.vtu", *BOX)
     assert from_file(tmp_path / "tool.vtu", *BOX, 4.0, flip=True).distance(BOX[:1])[0] > 0
+
+
+# ---------------------------------------------------------------------------------------- repairs
+
+
+def cap(n=24, half=(20.0, 18.0), depth=20.0):
+    """The lower half of an ellipsoid, open above, facing outwards."""
+    vertices, triangles = ball(n, 1.0)
+    kept = (vertices[triangles][:, :, 2] < 1e-9).all(1)
+    used, triangles = np.unique(triangles[kept], return_inverse=True)
+    return vertices[used] * [*half, depth], triangles.reshape(-1, 3)
+
+
+def noisy(surface):
+    """Each triangle with corners of its own, up to 1e-4 mm off: 3e-6 of the diagonal."""
+    soup = surface[0][surface[1]].reshape(-1, 3)
+    soup = soup + np.random.default_rng(8).uniform(-1e-4, 1e-4, soup.shape)
+    return soup, np.arange(len(soup)).reshape(-1, 3)
+
+
+def flipped_here_and_there(surface):
+    return turned(surface, np.random.default_rng(9).choice(len(surface[1]), 30, replace=False))
+
+
+def without_one(surface):
+    return without(surface, [len(surface[1]) // 2])
+
+
+def without_two_that_touch(surface):
+    """Two triangles are missing that share a vertex only."""
+    triangles = surface[1]
+    at = len(triangles) // 2
+    shared = np.isin(triangles, triangles[at]).sum(1)
+    return without(surface, [at, np.flatnonzero(shared == 1)[0]])
+
+
+def slivers(surface):
+    """A vertex on one side of an edge, a flat triangle on another, and a triangle twice."""
+    vertices, triangles = surface
+    (a, b, c), (e, f, g) = triangles[len(triangles) // 2], triangles[len(triangles) // 3]
+    vertices = np.vstack([vertices, vertices[[a, b]].mean(0), vertices[[e, f]].mean(0)])
+    m, k = len(vertices) - 2, len(vertices) - 1
+    triangles = without((vertices, triangles), [len(triangles) // 2, len(triangles) // 3])[1]
+    more = [[a, m, c], [m, b, c], [e, k, g], [k, f, g], [e, f, k], triangles[5]]
+    return vertices, np.vstack([triangles, more])
+
+
+def off_the_edge(surface):
+    """A flat triangle whose middle corner is 1e-5 of the size beside the edge it lies on."""
+    vertices, triangles = slivers(surface)
+    vertices[-1] *= 1.0 + 5e-6
+    return vertices, triangles
+
+
+DEFECTS = {
+    noisy: ("vertices up to 0.0003 mm from another merged with it", 3e-4),
+    flipped_here_and_there: ("30 triangles turned round", 1e-9),
+    without_one: ("a hole of 3 edges around", 1e-9),
+    without_two_that_touch: ("2 holes of up to 3 edges, one around", 1e-9),
+    slivers: ("2 slivers taken out", 1e-9),
+    off_the_edge: ("2 slivers taken out", 2e-4),
+}
+
+
+@pytest.mark.parametrize("surface", [ball(16), cap()], ids=["closed", "open"])
+@pytest.mark.parametrize("defect", DEFECTS)
+def test_a_mended_surface_has_the_distance_of_the_clean_one(tmp_path, surface, defect):
+    points = np.random.default_rng(10).uniform(-25.0, 25.0, (3000, 3))
+    d, words = [], []
+    for vertices, triangles in (surface, defect(surface)):
+        meshio.Mesh(vertices, [("triangle", triangles)]).write(tmp_path / "tool.vtu")
+        vertices, triangles, repairs = placed_and_told(tmp_path / "tool.vtu")
+        d.append(surface_grid(vertices, triangles, *BOX, 4.0).distance(points)[0])
+        words.append("; ".join(repairs))
+    told, most = DEFECTS[defect]
+    assert words[0] == ""
+    assert told in words[1]
+    # where the sheet meets the tool: above its rim (z = 0) the open one goes on as a wall that
+    # leans with the normals there, so that noise grows with the distance from the rim
+    near = (np.abs(d[0]) < 5.0) & (points[:, 2] < 0.0)
+    assert near.sum() > 500
+    assert np.abs(d[0] - d[1])[near].max() < most
+
+
+def test_a_defect_of_which_nothing_is_known_is_refused_with_a_remedy(tmp_path):
+    vertices, triangles = ball(16)
+    fin = np.append(vertices, [[0.0, 0.0, 40.0]], axis=0)
+    beside = np.flatnonzero(vertices[triangles].mean(1)[:, 0] > 0.92 * R)  # 4 % of the area
+    for name, surface, message in (
+        ("fin", (fin, np.vstack([triangles, [[*triangles[40][:2], len(vertices)]]])), "1 edge "),
+        ("hole", without((vertices, triangles), beside), "a hole of .* mm across, around"),
+    ):
+        path = tmp_path / f"{name}.vtu"
+        meshio.Mesh(surface[0], [("triangle", surface[1])]).write(path)
+        with pytest.raises(InputError, match=f"{message}.*mend it in CAD, MeshLab or Blender"):
+            from_file(path, *BOX, 4.0)
+
+
+# ------------------------------------------------------------------------------- tools of a scene
+
+
+SCENE = """
+travel = 15.0
+[blank]
+shape = "disc"
+radius = 60.0
+size = 6.0
+[tools.punch]
+file = "punch.vtu"
+{punch}
+[tools.die]
+shape = "round opening"
+radius = 25.0
+fillet = 5.0
+"""
+
+
+def told(folder, punch="", surface=None):
+    """What the model says of a punch from a file."""
+    vertices, triangles = cap() if surface is None else surface
+    meshio.Mesh(vertices, [("triangle", triangles)]).write(folder / "punch.vtu")
+    (folder / "part.toml").write_text(SCENE.format(punch=punch))
+    scene = forming(str(folder / "part.toml"))
+    return "\n".join(f"{entry}: {why}" for entry, why in scene.model if "punch.vtu" in entry)
+
+
+def test_the_model_tells_extents_triangles_and_the_point_next_to_the_sheet(tmp_path):
+    words = told(tmp_path, "spacing = 4.0\nplace = [1.0, 2.0]")
+    assert words == (
+        f"punch from punch.vtu: 40 x 36 x 20 mm, {len(cap()[1])} triangles, its middle at (1, 2), "
+        "its lowest point at (1, 2), on the sheet"
+    )
+    words = told(tmp_path, "spacing = 4.0\nz = 23.004", without_one(cap()))
+    assert "at (0, 0), 2 mm over the upper face of the sheet" in words
+    assert "\npunch.vtu repaired: a hole of 3 edges around" in words
+
+
+@pytest.mark.parametrize(
+    ("punch", "expected"),
+    [
+        ("", ""),
+        ("rotate = [170, 0, 20]", r"upside down\? rotate = \[-10, 0, -20\]"),
+        (
+            "scale = 0.15",
+            r"6 mm wide \(scale = 0.15\) in an opening of about .* mm\? set scale = 1 ",
+        ),
+    ],
+)
+def test_a_punch_that_looks_wrong_is_told_of(tmp_path, punch, expected):
+    words = told(tmp_path, f"spacing = 4.0\n{punch}")
+    assert re.search(expected, words)
+    assert ("warning, punch.vtu" in words) == bool(expected)
+
+
+def test_the_suggested_turn_puts_an_upside_down_punch_right(tmp_path):
+    upside_down = cap()[0] * [1, -1, -1], cap()[1]
+    words = told(tmp_path, "spacing = 4.0\nrotate = [10, 5, 20]", upside_down)
+    line = re.search(r"rotate = \[.*\]", words)[0]
+    words = told(tmp_path, f"spacing = 4.0\n{line}", upside_down)
+    assert "warning" not in words
+    assert "on the sheet" in words
+
+
+@pytest.mark.parametrize(
+    ("punch", "message"),
+    [
+        (
+            "flip = true",
+            r"punch.vtu: its normals point away from the sheet: inside out\? flip = false",
+        ),
+        (
+            "origin = [0, 20, 0]",
+            r"middle of the punch is at \(0, -20\).* origin = \[0, 0, 0\] brings",
+        ),
+        (
+            "origin = [200, 100, 0]",
+            r"x -220 to -180, y -118 to -82 .* origin = \[0, 0, 0\] puts it",
+        ),
+        (
+            "place = [0, 200]\nrotate = [0, 0, 90]",
+            r"origin = \[200, 0, 0\] puts it over the middle",
+        ),
+        (
+            "z = 0.0",
+            r"starts inside the punch: check its z, 21 puts it on the sheet, or set flip = t",
+        ),
+        ("scale = 0.01", r"0.4 mm across .* beside a sheet of 120 mm"),
+    ],
+)
+def test_a_punch_that_cannot_be_is_refused_with_the_line_that_mends_it(tmp_path, punch, message):
+    with pytest.raises(InputError, match=message):
+        told(tmp_path, f"spacing = 4.0\n{punch}")
 
 
 # ------------------------------------------------------------------------------------------ CAD

@@ -25,7 +25,7 @@ from .bands import (
     Case,
     Row,
 )
-from .report_text import band, duration, quantity, verdict
+from .report_text import band, duration, mostly_left_out, quantity, verdict
 
 if TYPE_CHECKING:
     from .report import About
@@ -147,12 +147,13 @@ def _contents(done: list[Case], waiting: list[str]) -> str:
     front["reading"] = "How to read the tables"
     back = {folder: title for title, (folder, *_) in STUDIES.items()}
     back["made"] = "Versions and machine"
-    cases = "".join(
-        f'<li class="{"held" if case.held else "missed"}"><span class="mark state">'
-        f"{'✓' if case.held else '✗'}</span>"
-        f'<a href="#case-{case.name}">{_title(case.name)}</a></li>'
-        for case in done
-    )
+    cases = ""
+    for case in done:
+        sign, kind, _ = SIGNS[_state(case)]
+        cases += (
+            f'<li class="{kind}"><span class="mark state">{sign}</span>'
+            f'<a href="#case-{case.name}">{_title(case.name)}</a></li>'
+        )
     cases += "".join(
         f'<li><span class="mark">…</span>{escape(name)} (not run yet)</li>' for name in waiting
     )
@@ -175,11 +176,12 @@ def _verdict_table(done: list[Case], waiting: list[str]) -> str:
     lines = []
     for case in done:
         counts = case.counts + Counter({MISSED: case.counts[MISSING]})
-        row = "held" if case.held else "missed"
-        failed = f'<span class="reason">{escape(case.problem)}</span>' if case.problem else ""
+        sign, kind, _ = SIGNS[_state(case)]
+        reason = "; ".join(filter(None, (case.problem, mostly_left_out(case))))
+        told = f'<span class="reason">{escape(reason)}</span>' if reason else ""
         lines.append(
-            f'<tr class="{row}"><td><span class="state">{"✓" if case.held else "✗"}</span> '
-            f'<a href="#case-{case.name}">{_title(case.name)}</a>{failed}</td>'
+            f'<tr class="{kind}"><td><span class="state">{sign}</span> '
+            f'<a href="#case-{case.name}">{_title(case.name)}</a>{told}</td>'
             f"{_counted(len(case.rows))}{''.join(_counted(counts[name]) for name in columns)}"
             f'<td class="n">{duration(case.seconds)}</td>'
             f'<td class="n">{escape(_clock(case.date))}</td></tr>'
@@ -196,6 +198,13 @@ def _verdict_table(done: list[Case], waiting: list[str]) -> str:
         f'<td class="n">{duration(sum(case.seconds for case in done))}</td><td></td></tr>'
     )
     return _table(f"<th>case</th>{head}<th>begun</th>", lines)
+
+
+def _state(case: Case) -> str:
+    """State of a case as a whole, as that of a row: held only where most of it was computed."""
+    if not case.held:
+        return MISSED
+    return LEFT_OUT if mostly_left_out(case) else HELD
 
 
 def _standings_table(done: list[Case]) -> str:

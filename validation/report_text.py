@@ -30,10 +30,21 @@ def verdict(done: list[Case], waiting: list[str]) -> str:
         parts.append(f"{known} inside {'its' if total[LIMITATION] == 1 else 'their'} own band")
     if total[AWAITED]:
         parts.append(f"{_count(total[AWAITED], 'row')} without measured data")
+    if folded := [case for case in done if mostly_left_out(case)]:
+        parts.append(f"{_count(len(folded), 'case')} {mostly_left_out(folded[0])}")
     if waiting:
         parts.append(f"{_count(len(waiting), 'case')} not run yet")
     sentence = "; ".join(parts)
     return sentence[0].upper() + sentence[1:] + "."
+
+
+def mostly_left_out(case: Case) -> str:
+    """Say so where a suite leaves out more than half of a case: what holds is not the case."""
+    left_out = [row for row in case.rows if row.state == LEFT_OUT]
+    if 2 * len(left_out) <= len(case.rows):
+        return ""
+    suite = "quick" if left_out[0].reference.only == "full" else "full"
+    return f"mostly left out by the {suite} suite"
 
 
 def markdown(about: About, done: list[Case], waiting: list[str]) -> str:
@@ -51,8 +62,9 @@ def markdown(about: About, done: list[Case], waiting: list[str]) -> str:
     for case in done:
         n = case.counts
         missed = n[MISSED] + n[MISSING]
+        name = f"`{case.name}`" + (f" ({words})" if (words := mostly_left_out(case)) else "")
         lines.append(
-            f"| {'' if case.held else '**✗** '}`{case.name}` | {len(case.rows)} | {n[HELD]} | "
+            f"| {'' if case.held else '**✗** '}{name} | {len(case.rows)} | {n[HELD]} | "
             f"{f'**{missed}**' if missed else 0} | {n[LIMITATION]} | {n[AWAITED]} | {n[SHOWN]} | "
             f"{n[LEFT_OUT]} | {duration(case.seconds)} |"
         )

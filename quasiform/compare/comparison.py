@@ -1,10 +1,12 @@
 """What two sheets differ in at equal travel: shear angle, outline, force, areas.
 
 The difference is result minus reference. Where the reference has triangles it lives at the result's
-nodes, weighted by the area they stand for; where it is points only, at these, all alike. Outlines
-are compared seen along z, at points a millimetre apart on both: their mean distance from the other
-one, and the largest (Hausdorff's). Forces are compared over the common travel, on the travels of
-both histories.
+nodes, weighted by the area they stand for; where it is points only, at these, all alike. What each
+sheet has of its own (mean, percentile, maximum, means over areas) is of its triangles, as in
+summary.json, where both are known by triangle and compared whole; else of what is compared.
+Outlines are compared seen along z, at points a millimetre apart on both: their mean distance from
+the other one, and the largest (Hausdorff's). Forces are compared over the common travel, on the
+travels of both histories.
 """
 
 from __future__ import annotations
@@ -34,6 +36,9 @@ FILES = ("compare.json", "compare.csv", "difference.vtu", "difference.png", "com
 STANDINGS = ("measured", "stated", "exact", "peer", "prototype", "inferred", "assumed", "own")
 ALIGN = ("none", "shift", "rigid")
 STEP = 1.0  # mm between the points of an outline
+ON_SHEET = 0.9  # of the reference: with less of it on the result they are hardly in one place
+SAME_BLANK = 0.02  # of their area: flat blanks that differ by more are two
+FEW = 10  # points in an area: with fewer their mean says little
 EARLY = 0.05  # of the largest internal energy: before, its ratio to the kinetic one says nothing
 
 
@@ -50,6 +55,8 @@ class Row:
         Result minus reference, or their distance where neither has a value of its own.
     band : float, optional
         What |difference| may be.
+    over : str
+        How many triangles or points of result and reference a mean over an area is of.
     """
 
     quantity: str
@@ -59,6 +66,7 @@ class Row:
     difference: float | None
     standing: str
     band: float | None = None
+    over: str = ""
 
     @property
     def held(self) -> bool | None:
@@ -90,6 +98,8 @@ class Comparison:
         Shear angles of result and reference there, degrees; nan where not compared.
     forces : (3, k) array or None
         Common travels (mm), forces of result and reference (N).
+    locking : tuple of float
+        Shear angles at which the fabrics of both lock, degrees, where they are known.
     """
 
     names: tuple[str, str]
@@ -100,6 +110,7 @@ class Comparison:
     field: Sheet | None = None
     gamma: FloatArray | None = None
     forces: FloatArray | None = None
+    locking: tuple[float, ...] = ()
 
     @property
     def held(self) -> bool:
@@ -125,7 +136,8 @@ class Comparison:
                 for v in (row.result, row.reference, row.difference)
             )
             band = "" if row.band is None else f"  {_verdict(row)} (band {row.band:g})"
-            lines.append(f"{row.quantity:<{width}}{cells} {row.unit:<4}{band}".rstrip())
+            over = f"  {row.over}" if row.over else ""
+            lines.append(f"{row.quantity:<{width}}{cells} {row.unit:<4}{over}{band}".rstrip())
         return "\n".join(lines)
 
     def save(self, out: str | Path, *, force: bool = False) -> Path:
@@ -160,12 +172,14 @@ class Comparison:
             with (folder / "compare.csv").open("w", newline="", encoding="utf-8") as file:
                 writer = csv.writer(file)
                 names = ("quantity", "result", "reference", "difference", "unit", "standing")
-                writer.writerow([*names, "band", "held"])
+                writer.writerow([*names, "band", "held", "over"])
                 for row in self.rows:
                     values = (row.result, row.reference, row.difference)
                     numbers = ["" if v is None else f"{v:.8g}" for v in values]
                     band = ["", ""] if row.held is None else [f"{row.band:g}", _verdict(row)]
-                    writer.writerow([row.quantity, *numbers, row.unit, row.standing, *band])
+                    writer.writerow(
+                        [row.quantity, *numbers, row.unit, row.standing, *band, row.over]
+                    )
             (folder / "compare.md").write_text(self.markdown(), encoding="utf-8")
             if self.field is not None:
                 self._mesh().write(folder / "difference.vtu")
@@ -177,14 +191,21 @@ class Comparison:
         lines = [
             f"# {self.names[0]} beside {self.names[1]}",
             "",
-            "| quantity | result | reference | difference | unit | standing | band |",
-            "|-|-|-|-|-|-|-|",
+            "| quantity | result | reference | difference | unit | standing | band | over |",
+            "|-|-|-|-|-|-|-|-|",
         ]
         for row in self.rows:
             values = (row.result, row.reference, row.difference)
             cells = ["" if v is None else f"{v:.4g}" for v in values]
             band = "" if row.held is None else f"{row.band:g}: {_verdict(row)}"
-            words = [row.quantity.replace("|", r"\|"), *cells, row.unit, row.standing, band]
+            words = [
+                row.quantity.replace("|", r"\|"),
+                *cells,
+                row.unit,
+                row.standing,
+                band,
+                row.over,
+            ]
             lines.append(f"| {' | '.join(words)} |")
         picture = ["", "![difference](difference.png)"]
         return "\n".join([*lines, "", *(f"- {note}" for note in self.notes), *picture, ""])
@@ -282,18 +303,38 @@ def compare(
     if align != "none":
         theirs, words = aligned(theirs, sheet, align == "rigid")
         notes.append(f"reference {words}")
+    warnings = _other_blank(sheet, theirs)
+    if mine.scene and other.scene and mine.scene != other.scene:
+        notes.append(f"two scenes: {mine.scene} (result) and {other.scene} (reference)")
     rows: list[Row] = []
     field = gamma = None
     if sheet.gamma is not None and theirs.gamma is not None:
         matched = way(by, sheet, theirs)
         field, gamma, share = _fields(sheet, theirs, matched, within)
+        whose = ("result", "the area") if field is sheet else ("reference", "them")
         notes.append(
-            f"matched {WAYS[matched]}, at the {'result' if field is sheet else 'reference'}'s "
-            f"points; {100 * share:.1f} % of {'the area' if field is sheet else 'them'} compared"
+            f"matched {WAYS[matched]}, at the {whose[0]}'s points; {100 * share:.1f} % of "
+            f"{whose[1]} compared"
         )
-        rows += _angle_rows(field, gamma, how.signed, standing, band_angle)
+        if share < ON_SHEET:
+            warnings.append(_off_sheet(share, field is sheet, align))
+        whole = share > 1 - 1e-9 and not warnings
+        whole &= sheet.by_triangle is not None and theirs.by_triangle is not None
+        own = [sheet.own(), theirs.own()] if whole else _compared(field, gamma)
+        notes.append(
+            "differences at points, where a sheet of triangles has the mean of those around; "
+            "means, percentile, maxima and areas "
+            + (
+                "of each sheet's own triangles, as in summary.json"
+                if whole
+                else "at the points compared alone: not those of summary.json"
+            )
+        )
+        rows += _angle_rows(own, field, gamma, how.signed, standing, band_angle)
         named = mine.areas if areas is None else areas
-        rows += _area_rows(field, gamma, named, standing, band_angle, notes)
+        rows += _area_rows(
+            own, named, standing, band_angle, notes, "triangle" if whole else "point"
+        )
     rows += _outline_rows(sheet, theirs, standing, band_outline)
     forces = _common_forces(mine, other, goal)
     if forces is not None:
@@ -312,7 +353,16 @@ def compare(
         if asked is not None and missing:
             raise InputError(f"{other.name}: a band for the {what}, but there is none to compare")
     names = mine.name, other.name
-    return Comparison(names, tuple(rows), tuple(notes), goal, (sheet, theirs), field, gamma, forces)
+    if (
+        names[0] == names[1]
+        and not isinstance(result, Result)
+        and not isinstance(reference, Result)
+    ):
+        names = str(result), str(reference)
+    notes = [*(f"warning: {words}" for words in warnings), *notes]
+    locking = tuple(run.locking for run in (mine, other) if run.locking)
+    both = (sheet, theirs)
+    return Comparison(names, tuple(rows), tuple(notes), goal, both, field, gamma, forces, locking)
 
 
 def _check(
@@ -387,8 +437,53 @@ def _fields(
     return field, gamma, float(weights[compared].sum() / weights.sum())
 
 
+def _other_blank(sheet: Sheet, theirs: Sheet) -> list[str]:
+    """Warn where the flat sheets do not cover the same."""
+    blanks = sheet.blank, theirs.blank
+    if None in blanks:
+        return []
+    share = blanks[0].symmetric_difference(blanks[1]).area / blanks[0].union(blanks[1]).area
+    if share <= SAME_BLANK:
+        return []
+    sizes = []
+    for blank in blanks:
+        x0, y0, x1, y1 = blank.bounds
+        sizes.append(f"{x1 - x0:.4g} x {y1 - y0:.4g} mm around ({(x0 + x1) / 2 + 0.0:.3g}, ")
+        sizes[-1] += f"{(y0 + y1) / 2 + 0.0:.3g})"
+    return [
+        f"the flat blanks differ on {100 * share:.0f} % of what they cover (result {sizes[0]}, "
+        f"reference {sizes[1]}): another part, another place (--align), a part of it (--mirror) or "
+        "another unit (--scale)?"
+    ]
+
+
+def _off_sheet(share: float, of_result: bool, align: str) -> str:
+    """Warn that little of the two sheets is compared."""
+    tried = {"none": "shift", "shift": "rigid"}.get(align)
+    remedy = f'try --align {tried} (align="{tried}"), or' if tried else "check"
+    of = (
+        "the result's area is off the reference" if of_result else "the reference is off the result"
+    )
+    return (
+        f"{100 * (1 - share):.0f} % of {of} and left out: {remedy} its place, its unit (--scale) "
+        "and how far points may be off (--within)"
+    )
+
+
+def _compared(field: Sheet, gamma: FloatArray) -> list[tuple[FloatArray, ...]]:
+    """Shear angles, areas and flat places of both at the points that are compared."""
+    compared = np.isfinite(gamma[0])
+    flat = None if field.flat is None else field.flat[compared]
+    return [(values[compared], field.weights[compared], flat) for values in gamma]
+
+
 def _angle_rows(
-    field: Sheet, gamma: FloatArray, signed: bool, standing: str, band: float | None
+    own: list[tuple[FloatArray, ...]],
+    field: Sheet,
+    gamma: FloatArray,
+    signed: bool,
+    standing: str,
+    band: float | None,
 ) -> list[Row]:
     compared = np.isfinite(gamma[0])
     (mine, theirs), w = gamma[:, compared], field.weights[compared]
@@ -396,7 +491,7 @@ def _angle_rows(
     off = mine - theirs
     far = np.abs(off)
 
-    def mean(values: FloatArray) -> float:
+    def mean(values: FloatArray, w: FloatArray = w) -> float:
         return float(w @ values / w.sum())
 
     def of_both(name: str, a: float, b: float) -> Row:
@@ -405,11 +500,11 @@ def _angle_rows(
     p95 = percentile(far, w, 0.95)
     words = f"difference of {word}"
     return [
-        of_both("mean", mean(mine), mean(theirs)),
-        of_both("99th percentile", *(percentile(v, w, 0.99) for v in (mine, theirs))),
-        of_both("maximum", float(mine.max()), float(theirs.max())),
+        of_both("mean", *(mean(v, areas) for v, areas, _ in own)),
+        of_both("99th percentile", *(percentile(v, areas, 0.99) for v, areas, _ in own)),
+        of_both("maximum", *(float(v.max()) for v, *_ in own)),
         Row(f"{words}, mean", "deg", None, None, mean(off), standing),
-        Row(f"{words}, mean size", "deg", None, None, mean(far), standing),
+        Row(f"{words}, mean absolute", "deg", None, None, mean(far), standing),
         Row(f"{words}, root mean square", "deg", None, None, mean(off**2) ** 0.5, standing),
         Row(f"{words}, 95th percentile", "deg", None, None, p95, standing, band),
         Row(f"{words}, largest", "deg", None, None, float(far.max()), standing),
@@ -417,27 +512,36 @@ def _angle_rows(
 
 
 def _area_rows(
-    field: Sheet,
-    gamma: FloatArray,
+    own: list[tuple[FloatArray, ...]],
     areas: dict[str, tuple[tuple[float, float], float]],
     standing: str,
     band: float | None,
     notes: list[str],
+    what: str,
 ) -> list[Row]:
-    if field.flat is None:
+    if any(flat is None for *_, flat in own):
         if areas:
             notes.append("no means over areas: flat coordinates are not known there")
         return []
-    rows = []
+    rows, few = [], []
     for name, (centre, radius) in areas.items():
-        inside = np.linalg.norm(field.flat - np.asarray(centre), axis=1) <= radius
-        inside &= np.isfinite(gamma[0])
-        if not inside.any():
-            notes.append(f"area {name}: no point of both lies in it")
+        means, counts = [], []
+        for values, weights, flat in own:
+            inside = np.linalg.norm(flat - np.asarray(centre), axis=1) <= radius
+            counts.append(int(inside.sum()))
+            if inside.any():
+                w = weights[inside]
+                means.append(float(w @ np.abs(values[inside]) / w.sum()))
+        if not min(counts):
+            notes.append(f"area {name}: no {what} of both lies in it")
             continue
-        w = field.weights[inside]
-        a, b = (float(w @ np.abs(values[inside]) / w.sum()) for values in gamma)
-        rows.append(Row(f"mean |γ| in area {name}", "deg", a, b, a - b, standing, band))
+        a, b = means
+        over = " and ".join(map(str, dict.fromkeys(counts))) + f" {what}" + "s" * (max(counts) > 1)
+        rows.append(Row(f"mean |γ| in area {name}", "deg", a, b, a - b, standing, band, over))
+        if min(counts) < FEW:
+            few.append(f"{name} ({over})")
+    if few:
+        notes.append(f"means of few say little of an area: {', '.join(few)}")
     return rows
 
 

@@ -80,7 +80,10 @@ def _mirrored(sheet: Sheet, axis: int, signed: bool) -> Sheet:
     triangles = sheet.triangles
     if triangles is not None:
         triangles = np.vstack([triangles, number[triangles][:, ::-1]])
-    return Sheet(both(sheet.points), both(sheet.flat), triangles, gamma)
+    by_triangle = sheet.by_triangle
+    if by_triangle is not None:
+        by_triangle = np.append(by_triangle, (-1.0 if signed else 1.0) * by_triangle)
+    return Sheet(both(sheet.points), both(sheet.flat), triangles, gamma, by_triangle=by_triangle)
 
 
 def _doubled(sheet: Sheet, axis: int) -> Sheet:

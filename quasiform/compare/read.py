@@ -16,6 +16,7 @@ import xml.etree.ElementTree as ET
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import shapely
@@ -140,15 +141,17 @@ def _of_result(result: Result, reading: Reading) -> Run:
         gamma = reading.gamma(run.shear_angles(i))
         x, blank = run.positions(i), run.blank
         values = at_nodes(gamma, np.pad(blank.nodes, ((0, 0), (0, 1))), blank.triangles)
-        return Sheet(x, blank.nodes, blank.triangles, values)
+        return Sheet(x, blank.nodes, blank.triangles, values, by_triangle=gamma)
 
-    history = result.history
+    history, parameters = result.history, result.scene.parameters
     return Run(
         result.scene.name,
         tuple(run.states[i].travel for run, i in followed),
         state,
         {"travel": history[result.scene.travel_name], "force": history["force_N"]},
         dict(result.scene.areas),
+        scene=str(parameters.get("scene", "")),
+        locking=locking_angle(parameters),
     )
 
 
@@ -162,28 +165,76 @@ def _of_folder(folder: Path, reading: Reading) -> Run:
     else:
         raise InputError(f"{folder}: no result: neither result.pvd with its increments nor .vtu")
     history = folder / "history.csv"
-    run = replace(run, name=folder.name, history=_history(history) if history.exists() else {})
+    name = folder.resolve().name
+    run = replace(run, name=name, history=_history(history) if history.exists() else {})
     summary = folder / "summary.json"
     if summary.exists():
         try:
             content = json.loads(summary.read_text(encoding="utf-8"))
         except ValueError as error:
             raise InputError(f"{summary}: not readable: {error}") from error
-        run = replace(run, areas=_areas(content), name=str(content.get("case", run.name)))
+        parameters = content.get("parameters")
+        parameters = parameters if isinstance(parameters, dict) else {}
+        run = replace(
+            run,
+            areas=_areas(parameters, folder),
+            scene=str(parameters.get("scene", "")),
+            locking=locking_angle(parameters),
+        )
         if run.travels == (None,) and isinstance(content.get("reached_mm"), int | float):
             run = replace(run, travels=(float(content["reached_mm"]),))
     return run
 
 
-def _areas(summary: dict) -> dict[str, tuple[tuple[float, float], float]]:
-    """Named areas of the built-in scene that a result is of; none for other scenes."""
-    parameters = summary.get("parameters")
-    name = parameters.get("scene") if isinstance(parameters, dict) else None
-    if name not in scene_file.built_in() or parameters.get("turn"):
+def _areas(
+    parameters: dict[str, Any], folder: Path
+) -> dict[str, tuple[tuple[float, float], float]]:
+    """Named areas of the scene that a result is of; none where it is not known or turned."""
+    if not isinstance(parameters.get("scene"), str) or parameters.get("turn"):
         return {}
     with suppress(InputError):
-        return dict(scene_file.load(name).areas)
+        return dict(scene_file.load(scene_of(parameters, folder)).areas)
     return {}
+
+
+def scene_of(parameters: dict[str, Any], folder: Path) -> str:
+    """Name or file of the scene that a result is of, wherever the working folder is.
+
+    A file is looked for where it was when the run was made, then where it was named from: beside
+    the result's folder and in it (they may have moved together), and from here.
+
+    Parameters
+    ----------
+    parameters : dict
+        Of the run's summary.
+    folder : path
+        The result's.
+
+    Raises
+    ------
+    InputError
+        If it is in none of these places.
+    """
+    given = str(parameters.get("scene"))
+    if not given.endswith(".toml"):
+        return given
+    recorded = parameters.get("scene_file")
+    places = [Path(recorded)] if isinstance(recorded, str) else []
+    places += [folder.resolve().parent / given, folder / given, Path(given)]
+    for path in places:
+        if path.is_file():
+            return str(path)
+    looked = ", ".join(dict.fromkeys(str(path.parent) for path in places))
+    raise InputError(f"{folder}: its scene {given} is in none of {looked}")
+
+
+def locking_angle(parameters: dict[str, Any]) -> float | None:
+    """Shear angle at which the fabric of a run locks, degrees; None for a law without locking."""
+    fabric = parameters.get("fabric")
+    shear = (fabric.get("shear") if isinstance(fabric, dict) else None) or {}
+    onset = shear.get("I_lo")
+    locks = onset is not None and shear.get("C_lo") and 0 < onset < 1
+    return float(np.degrees(np.arcsin(onset))) if locks else None
 
 
 def series(path: Path) -> list[tuple[float, Path]]:
@@ -252,7 +303,7 @@ def _sheet(path: Path, fields: Fields, reading: Reading) -> tuple[Sheet, tuple[s
         moved = np.pad(moved.reshape(len(points), -1), ((0, 0), (0, 3)))[:, :3]
     formed, flat = _formed_and_flat(path, points, moved, reading, notes)
     triangles = fields.triangles
-    gamma = None
+    gamma = by_triangle = None
     chosen = None if reading.field == NO_FIELD else _field(path, fields, reading)
     if chosen is not None:
         where, name = chosen
@@ -262,14 +313,16 @@ def _sheet(path: Path, fields: Fields, reading: Reading) -> tuple[Sheet, tuple[s
         if where == "by_triangle":
             places = formed if flat is None else np.pad(flat, ((0, 0), (0, 1)))
             gamma = at_nodes(values, places, triangles)
+            by_triangle = values if np.isfinite(values).all() else None
     elif reading.field != NO_FIELD and formed is not None and flat is not None:
         values = sheared(flat, formed, triangles, reading.orientation)
         values = values if reading.signed else np.abs(values)
+        by_triangle = values
         gamma = at_nodes(values, np.pad(flat, ((0, 0), (0, 1))), triangles)
         notes.append(
             f"angle worked out from the displacements, warp at {reading.orientation:g}° to x"
         )
-    return Sheet(formed, flat, triangles, gamma), tuple(notes)
+    return Sheet(formed, flat, triangles, gamma, by_triangle=by_triangle), tuple(notes)
 
 
 def _formed_and_flat(

@@ -37,6 +37,8 @@ class Sheet:
         Shear angle at the points, degrees; nan where it is not known.
     contour : shapely.LineString, optional
         Outline seen along z, where it is not that of the triangles; closed or a part of it.
+    by_triangle : (m,) array, optional
+        Shear angle of the triangles, degrees, where it is known by triangle.
     """
 
     points: FloatArray | None = None
@@ -44,6 +46,7 @@ class Sheet:
     triangles: np.ndarray | None = None
     gamma: FloatArray | None = None
     contour: shapely.LineString | None = None
+    by_triangle: FloatArray | None = None
 
     @property
     def places(self) -> FloatArray:
@@ -72,6 +75,20 @@ class Sheet:
         )
 
     @property
+    def blank(self) -> shapely.Polygon | None:
+        """What the flat sheet covers, without its holes; None where it is not known."""
+        if self.flat is None or self.triangles is None:
+            return None
+        rim = Sheet(points=np.pad(self.flat, ((0, 0), (0, 1))), triangles=self.triangles).outline
+        return shapely.make_valid(shapely.Polygon(rim)) if rim is not None else None
+
+    def own(self) -> tuple[FloatArray, FloatArray, FloatArray | None]:
+        """Shear angles of the triangles, their areas and their flat centroids."""
+        places = self.places if self.flat is None else np.pad(self.flat, ((0, 0), (0, 1)))
+        centroids = None if self.flat is None else self.flat[self.triangles].mean(1)
+        return self.by_triangle, _areas(places, self.triangles), centroids
+
+    @property
     def spacing(self) -> float:
         """Median distance of a point to its nearest neighbour, mm."""
         places = self.places if self.flat is None else self.flat
@@ -97,6 +114,10 @@ class Run:
         Discs of the flat blank, mm.
     notes : tuple of str
         How it was read, for the report.
+    scene : str
+        Scene that a run is of; empty where it is not told.
+    locking : float, optional
+        Shear angle at which its fabric locks, degrees.
     """
 
     name: str
@@ -105,6 +126,8 @@ class Run:
     history: Mapping[str, FloatArray] = field(default_factory=dict)
     areas: Mapping[str, tuple[tuple[float, float], float]] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    scene: str = ""
+    locking: float | None = None
 
     def at(self, travel: float | None) -> tuple[Sheet, str]:
         """Sheet at a travel, interpolated between two states on one mesh; and how it was found.
@@ -144,6 +167,7 @@ class Run:
             before,
             points=mixed(before.points, after.points),
             gamma=mixed(before.gamma, after.gamma),
+            by_triangle=mixed(before.by_triangle, after.by_triangle),
         )
         return sheet, f"interpolated between {s[i - 1]:.6g} and {s[i]:.6g} mm"
 

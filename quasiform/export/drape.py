@@ -24,6 +24,8 @@ from .inp import write
 FloatArray = np.ndarray
 FLAT = np.sin(np.radians(5.0))  # a reference nearer to the normal has no projection
 NOT_RUN = "the tables follow the published format and were not run in the solver"
+NO_WEIGHT = "areal weight is not in the table: it falls as the thinning does"
+GENERAL = (NOT_RUN, NO_WEIGHT)  # true of every part
 
 
 def radioss(fibres: Fibres, folder: Path, reference: FloatArray) -> tuple[str, ...]:
@@ -88,7 +90,7 @@ def _table(
         "the angles are from the direction ({:g}, {:g}, {:g}) projected into the element; the "
         "thinning is the thickness over that of the flat fabric".format(*reference)
     )
-    notices.append("areal weight is not in the table: it falls as the thinning does")
+    notices.append(NO_WEIGHT)
     return fibres.thickness_ratio, angles, fibres.known & ~steep, tuple(notices)
 
 

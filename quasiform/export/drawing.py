@@ -1,7 +1,8 @@
-"""A flat pattern as DXF and SVG, in mm and at its real size."""
+"""A flat pattern as DXF, SVG and CSV, in mm and at its real size."""
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Iterator
 from pathlib import Path
 from xml.sax.saxutils import escape
@@ -79,6 +80,16 @@ def write_svg(pattern: FlatPattern, path: Path) -> None:
             f'fill="{colours["MARKS"]}" stroke="none">{escape(text)}</text>'
         )
     path.write_text("\n".join([*out, "</g>", "</svg>", ""]), encoding="utf-8")
+
+
+def write_csv(pattern: FlatPattern, path: Path) -> None:
+    """Write the points of the lines: layer, number of the line in it, x, y."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(["layer", "loop", "x_mm", "y_mm"])
+        for layer, lines in (("TRIM", pattern.trim), ("BLANK", pattern.blank)):
+            for number, line in enumerate(lines):
+                writer.writerows([layer, number, f"{x:.6g}", f"{y:.6g}"] for x, y in line)
 
 
 def _marks(pattern: FlatPattern) -> Iterator[tuple[FloatArray | None, str, FloatArray, float]]:

@@ -12,7 +12,7 @@ from ..checks import InputError, suggestion
 from ..files import replaced
 from ..result import Result, package_version
 from . import drape, inp, table
-from .fibres import Fibres, carry
+from .fibres import NOT_MODELLED, Fibres, carry
 from .part import part_of
 from .target import read_target
 
@@ -26,6 +26,7 @@ FORMATS: dict[str, str] = {
     "vtu": "all fields by cell",
 }
 NOTES = "handover.txt"
+GENERAL = {*NOT_MODELLED, *inp.GENERAL, *drape.GENERAL, *table.GENERAL}
 FILES = (*inp.FILES, "drape_0000.rad", "drape.fem", "fibres.csv", "fibres.vtu", NOTES)
 
 
@@ -42,12 +43,15 @@ class Handover:
         What they do not hold, and what was assumed.
     fibres : Fibres
         Directions, thickness and areal weight by element.
+    general : tuple of str
+        Those of the notices that are true of every hand-over in this format.
     """
 
     folder: Path
     files: tuple[str, ...]
     notices: tuple[str, ...]
     fibres: Fibres
+    general: tuple[str, ...] = ()
 
 
 def export(
@@ -115,9 +119,10 @@ def export(
         notices = (*fibres.notices, *writers[to](folder))
         told = [f"Hand-over of {part.name} ({to}), quasiform {package_version()}", ""]
         told += [f"- {notice}" for notice in notices]
+        general = tuple(notice for notice in notices if notice in GENERAL)
         (folder / NOTES).write_text("\n".join([*told, ""]), encoding="utf-8")
         files = tuple(sorted(path.name for path in folder.iterdir()))
-    return Handover(Path(out), files, notices, fibres)
+    return Handover(Path(out), files, notices, fibres, general)
 
 
 def _direction(reference: Sequence[float]) -> np.ndarray:

@@ -33,6 +33,17 @@ STAND_IN = (
     "the materials in part.inp are stand-ins, the dry fabric's stiffness at rest: replace them by "
     "those of the part"
 )
+SHARED = (
+    "membranes and shells share nodes and each has half the mass; the shells' stand-in "
+    "has the whole stiffness, the membranes' next to none: divide it as you model it"
+)
+NOT_RUN = "the files for Abaqus are not run: their syntax is checked only"
+AT_NODES = (
+    "CalculiX takes the thickness at the nodes: the mean of the elements around, weighted by "
+    "area (a step between elements would stiffen their nodes)"
+)
+ONE_EACH = "one orientation an element, none binned"
+GENERAL = (STAND_IN, SHARED, NOT_RUN, AT_NODES, ONE_EACH)  # true of every part
 
 
 def rows(labels: Iterable[int], values: FloatArray) -> Iterator[str]:
@@ -126,13 +137,7 @@ def abaqus(fibres: Fibres, folder: Path, pair: bool = False) -> tuple[str, ...]:
         lines += ["*ELASTIC, TYPE=LAMINA"]
         lines += [", ".join(f"{v:.6g}" for v in (E, shear, 0.0, *[shear] * 3))]
     write(folder / "part.inp", lines)
-    notices = [STAND_IN]
-    if pair:
-        notices.append(
-            "membranes and shells share nodes and each has half the mass; the shells' stand-in "
-            "has the whole stiffness, the membranes' next to none: divide it as you model it"
-        )
-    return (*notices, "the files for Abaqus are not run: their syntax is checked only")
+    return (STAND_IN, *([SHARED] if pair else []), NOT_RUN)
 
 
 def calculix(fibres: Fibres, folder: Path, axis: str = "warp") -> tuple[str, ...]:
@@ -165,12 +170,7 @@ def calculix(fibres: Fibres, folder: Path, axis: str = "warp") -> tuple[str, ...
             f"{fibres.fabric['thickness']:.9g}",
         ]
     write(folder / "part.inp", lines)
-    notices = [
-        STAND_IN,
-        "CalculiX takes the thickness at the nodes: the mean of the elements around, weighted by "
-        "area (a step between elements would stiffen their nodes)",
-        "one orientation an element, none binned",
-    ]
+    notices = [STAND_IN, AT_NODES, ONE_EACH]
     largest = float(np.abs(fibres.shear_angle[known]).max())
     if axis != "bisector":
         other = "weft" if axis == "warp" else "warp"

@@ -16,6 +16,7 @@ import numpy as np
 
 from ..checks import InputError, check_number
 from ..compare.mesh_file import read_fields
+from ..compare.read import scene_of
 from ..compare.sheet import Sheet
 from ..result import Result
 
@@ -44,6 +45,8 @@ class Part:
         The run's.
     notices : tuple of str
         What is doubtful about it.
+    folder : path, optional
+        Where it was read from.
     """
 
     name: str
@@ -55,6 +58,20 @@ class Part:
     fabric: dict[str, Any]
     parameters: dict[str, Any]
     notices: tuple[str, ...] = ()
+    folder: Path | None = None
+
+    @property
+    def scene(self) -> str:
+        """Name or file of the run's scene, where it is now.
+
+        Raises
+        ------
+        InputError
+            If its file is not there any more.
+        """
+        if self.folder is None:
+            return str(self.parameters.get("scene"))
+        return scene_of(self.parameters, self.folder)
 
     @property
     def sheet(self) -> Sheet:
@@ -148,6 +165,7 @@ def part_of(source: Result | str | Path) -> Part:
             fabric | {"moduli": _moduli(fabric)},
             parameters,
             _doubts(fields.by_triangle, summary.get("status"), summary.get("certified")),
+            folder,
         ),
         where,
     )

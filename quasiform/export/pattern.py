@@ -21,7 +21,7 @@ from ..compare.mapping import closest, on_surface
 from ..compare.table import read_table
 from ..files import replaced
 from ..result import Result
-from ..surface_file import normals_of
+from ..surface_file import normals_of, optional
 from ..tool import Opening
 from .part import Part, part_of
 
@@ -30,7 +30,7 @@ STEP = 0.25  # of the spacing: distance of the points that are mapped
 ASIDE = 0.01  # of the spacing: how far beside the rim of the sheet a line has left it
 HALVINGS = 30  # of an edge, to find where a line crosses it
 JUMP = 3.0  # flat step over formed step: the line has passed from one fold to another
-FILES = ("pattern.dxf", "pattern.svg", "pattern.txt")
+FILES = ("pattern.dxf", "pattern.svg", "pattern.csv", "pattern.txt")
 NOT_MODELLED = (
     "one ply: the plies of a stack have patterns of their own, and their sliding on each other "
     "is not modelled",
@@ -54,7 +54,7 @@ class FlatPattern:
     along : (2, 2) array
         Flat unit vectors of warp (0°) and weft (90°).
     notices : tuple of str
-        What the pattern does not hold.
+        What the pattern does not hold: that of this one, then that of them all (`NOT_MODELLED`).
 
     Notes
     -----
@@ -77,7 +77,9 @@ class FlatPattern:
         return float(found.area)
 
     def save(self, out: str | Path, *, force: bool = False) -> Path:
-        """Write pattern.dxf, pattern.svg (both mm, 1:1) and pattern.txt (the notices).
+        """Write pattern.svg and, with ezdxf, pattern.dxf (mm, 1:1), pattern.csv and pattern.txt.
+
+        The CSV has the points, the text the notices. Without ezdxf, an older pattern.dxf goes.
 
         Parameters
         ----------
@@ -94,13 +96,14 @@ class FlatPattern:
         Raises
         ------
         InputError
-            If the folder holds a pattern already and `force` is not set, or cannot be written; if
-            ezdxf is missing.
+            If the folder holds a pattern already and `force` is not set, or cannot be written.
         """
-        from .drawing import write_dxf, write_svg
+        from .drawing import write_csv, write_dxf, write_svg
 
         with replaced(out, force=force, names=FILES) as folder:
-            write_dxf(self, folder / "pattern.dxf")
+            if not _without_dxf():
+                write_dxf(self, folder / "pattern.dxf")
+            write_csv(self, folder / "pattern.csv")
             write_svg(self, folder / "pattern.svg")
             told = [f"Flat pattern of {self.name}, seen from the upper side (the punch's)", ""]
             told += [f"- {notice}" for notice in self.notices]
@@ -147,7 +150,7 @@ def flat_pattern(
         lines = rim
     elif isinstance(trim, str) and trim == "die":
         lines = _seen(part, _opening(part), notices)
-        notices.append(f"the die's opening is that of the scene '{part.parameters['scene']}'")
+        notices.append(f"the die's opening is that of the scene '{part.scene}'")
     else:
         lines = []
         for curve in _curves(trim, scale):
@@ -158,7 +161,18 @@ def flat_pattern(
     for line in lines:
         if _closed(line) and not shapely.LinearRing(line).is_simple:
             notices.append("the flat line crosses itself")
+    notices += _without_dxf()
     return FlatPattern(part.name, lines, rim, part.along, (*notices, *NOT_MODELLED))
+
+
+def _without_dxf() -> list[str]:
+    """Why there is no pattern.dxf; empty if there is one."""
+    try:
+        optional("ezdxf", "cad", "a .dxf file needs ezdxf")
+    except InputError:
+        words = "pattern.dxf is left out, SVG and CSV hold the same lines: pip install ezdxf"
+        return [f"{words}, and export again"]
+    return []
 
 
 def _curves(
@@ -284,7 +298,7 @@ def _opening(part: Part) -> shapely.Polygon:
     name = part.parameters.get("scene")
     if not isinstance(name, str):
         raise InputError("the result is of no forming scene: give the trim line by its points")
-    for tool in scene_file.load(name).tools:
+    for tool in scene_file.load(part.scene).tools:
         if tool.role == "die" and isinstance(tool.shape, Opening):
             hole = tool.shape.hole
             core = shapely.MultiPoint(hole.core[:, :2]).convex_hull

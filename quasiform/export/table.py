@@ -20,6 +20,10 @@ HEADINGS = (
     *("x_mm", "y_mm", "z_mm"),
     *(f"{axis}_{c}" for axis in AXES for c in "xyz"),
 )
+GENERAL = (
+    "theta runs from the side between an element's first two nodes (Nastran's THETA); without "
+    "an MCID",
+)
 
 
 def table(fibres: Fibres, folder: Path) -> tuple[str, ...]:
@@ -37,10 +41,7 @@ def table(fibres: Fibres, folder: Path) -> tuple[str, ...]:
             values = [f"{column[row]:.7g}" for column in numbers]
             places = [f"{v:.9g}" for v in vectors[row]]
             writer.writerow([target.elements[row], *values, *corners, *places])
-    return (
-        "theta runs from the side between an element's first two nodes (Nastran's THETA); without "
-        "an MCID",
-    )
+    return GENERAL
 
 
 def mesh(fibres: Fibres, folder: Path) -> tuple[str, ...]:

@@ -28,7 +28,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +39,7 @@ from ..material import Fabric, fabric_of
 from .cantilever import Stiffness, from_profile, from_repeats, from_tip
 from .energy_method import Forces
 from .fit import ALGORITHMS, check_kept
-from .records import Curve, mean_of, read
+from .records import Curve, mean_of, read, rows_of
 from .specimen import OffAxis, PictureFrame, Specimen
 
 METHODS = {
@@ -51,6 +51,9 @@ METHODS = {
 KINDS = {"off-axis": OffAxis, "picture-frame": PictureFrame}
 SIZES = {"off-axis": ("length", "width", "angle"), "picture-frame": ("side", "fabric_side")}
 FABRIC = ("base", "thickness", "areal_weight", "bending_warp", "bending_weft", "friction")
+VALUES = tuple(f.name for f in fields(Fabric) if f.name not in ("name", "provenance"))
+OF_ONE_TEST = ("kind", "columns", "units", *(size for sizes in SIZES.values() for size in sizes))
+ASSUMED = "assumed: that of "  # begins the origin of a value that no test and no user gave
 LOWEST = 0.5  # degrees: below, a specimen settles in its grips
 
 
@@ -94,7 +97,7 @@ class ShearTest:
         used = (gamma >= self.low) & (gamma > 0) & (gamma <= self.high) & (self.curve.force > 0)
         if used.sum() < 8:
             raise InputError(
-                f"{self.name}: only {used.sum()} rows with a positive force between "
+                f"{self.name}: only {rows_of(int(used.sum()))} with a positive force between "
                 f"{self.low:g} and {self.high:g} degrees of shear, expected at least 8"
             )
 
@@ -119,7 +122,8 @@ class Campaign:
     ----------
     name : str
     fabric : Fabric
-        What the tests do not say is taken from it.
+        What the tests do not say is taken from it; its provenance may say of each value, by its
+        name, where that comes from.
     shear : tuple of ShearTest
     bending : dict of "warp" or "weft" to Stiffness
     method : str
@@ -182,6 +186,10 @@ def load(path: str | Path, **given: Any) -> Campaign:
     """
     path = Path(path)
     if path.suffix.lower() == ".toml":
+        for key in given:
+            if key in OF_ONE_TEST or key == "thickness":
+                where = "[fabric]" if key == "thickness" else "[[tests]]"
+                raise InputError(f"{path}: {key} belongs into the file, under {where}")
         return read_toml(path, lambda table: _campaign(table | given, path))
     kind = given.get("kind", "off-axis")
     for key in given:
@@ -244,7 +252,18 @@ def _fabric(table: Any, folder: Path) -> Fabric:
     check_keys(table, FABRIC, "fabric")
     base = table.get("base", "locking")
     fabric = fabric_of(folder / base if str(base).endswith(".toml") else base)
-    return replace(fabric, **{key: value for key, value in table.items() if key != "base"})
+    given = {key: value for key, value in table.items() if key != "base"}
+    origins = {name: _inherited(fabric, name) for name in VALUES} | dict.fromkeys(given, "given")
+    return replace(fabric, **given, provenance=origins)
+
+
+def _inherited(base: Fabric, name: str) -> str:
+    """Where a value comes from that is taken from another fabric."""
+    known = base.provenance.get(name)
+    if known is None:
+        return f"{ASSUMED}{base.name}"
+    known = str(known)
+    return known if known.startswith((ASSUMED, "that of ")) else f"that of {base.name}: {known}"
 
 
 def _shear_test(
@@ -272,6 +291,10 @@ def _shear_test(
     curves = [read(path, test.get("columns"), test.get("units")) for path in paths]
     name = " + ".join(path.name for path in paths)
     curve = mean_of(curves)
+    if words := specimen.described(curve):
+        defaults = [key for key in SIZES[kind] if key not in test and getattr(specimen, key)]
+        end = f"; not given, defaults: {', '.join(defaults)}." if defaults else "."
+        curve = replace(curve, notices=(f"Taken as a {words}{end}", *curve.notices))
     if curve.per_length and kind == "off-axis":
         raise InputError(f"{name}: a force per length is that of a picture frame, not of a strip")
     sources += [path for path in paths if path not in sources]

@@ -17,7 +17,7 @@ from ..checks import InputError
 from ..files import replaced
 from ..material import Fabric
 from ..result import package_version
-from .campaign import METHODS, Campaign, load
+from .campaign import ASSUMED, METHODS, VALUES, Campaign, load
 from .energy_method import StressCurve, energy_method
 from .fit import Fit, Parameter, fit
 from .inverse import identify_by_elements
@@ -33,7 +33,8 @@ class Identification:
     ----------
     campaign : Campaign
     fabric : Fabric
-        With its provenance.
+        With its provenance: `standing` is that of the tests, and of the values in `standing_of`
+        alone; of every value there is an entry of its name that says where it comes from.
     curve : StressCurve or None
         S12 by the energy method; None without tests in shear.
     fitted : Fit or None
@@ -115,7 +116,8 @@ def identify(source: str | Path | Campaign, **given: Any) -> Identification:
         CSV file of one test, TOML file of a campaign (`identification.campaign`), or a `Campaign`.
     **given
         As `identification.campaign.load`: method ("fit", "inverse", "table" or "as-printed"), keep,
-        algorithm, size; of a CSV file also kind, length, width, angle, side, thickness.
+        algorithm, size; of a CSV file also kind, length, width, angle, side, thickness, columns,
+        units.
 
     Returns
     -------
@@ -153,7 +155,9 @@ def identify(source: str | Path | Campaign, **given: Any) -> Identification:
         notices.append(f"{name} by Peirce's formula {stiffness.classical:.4g} N mm ({off:+.1f} %)")
         fabric = replace(fabric, **{name: stiffness.value})
     quality = None if curve is None else (curve if fitted is None else fitted).misfit
-    provenance = _provenance(campaign, curve, quality)
+    origins = _origins(campaign, fitted)
+    notices += _not_tested(origins)
+    provenance = _provenance(campaign, curve, quality, origins)
     fabric = replace(fabric, name=campaign.name, provenance=provenance)
     return Identification(campaign, fabric, curve, fitted, tuple(parameters), tuple(notices))
 
@@ -190,11 +194,52 @@ def _remarks(fitted: Fit, curve: StressCurve) -> list[str]:
     return found
 
 
+def _tested(campaign: Campaign) -> list[str]:
+    """Names of the values that the tests have given."""
+    shear = ["shear", "shear_range"] if campaign.shear else []
+    return [*shear, *(f"bending_{family}" for family in campaign.bending)]
+
+
+def _origins(campaign: Campaign, fitted: Fit | None) -> dict[str, str]:
+    """Where each value of the fabric comes from, and what else went into those of the tests."""
+    fabric = campaign.fabric
+    origins = {name: str(fabric.provenance.get(name, f"{ASSUMED}{fabric.name}")) for name in VALUES}
+    found = dict.fromkeys(_tested(campaign), campaign.standing)
+    for name, divisor in (
+        ("shear", "thickness"),
+        ("bending_warp", "areal_weight"),
+        ("bending_weft", "areal_weight"),
+    ):
+        if name in found and origins[divisor].startswith(ASSUMED):
+            found[name] += f", with an assumed {divisor}"
+    for state in ("kept", "not identified", "not tested"):
+        if names := [p.name for p in (fitted.parameters if fitted else ()) if p.state == state]:
+            found["shear"] += f"; {state}: {', '.join(names)}"
+    return origins | found
+
+
+def _not_tested(origins: Mapping[str, str]) -> list[str]:
+    """Say which values are those of another fabric, a sentence for each of these."""
+    borrowed: dict[str, list[str]] = {}
+    for name, origin in origins.items():
+        if origin.startswith(ASSUMED):
+            borrowed.setdefault(origin.removeprefix(ASSUMED), []).append(name)
+    return [
+        f"not in these tests, taken from {fabric}: {', '.join(names)}"
+        for fabric, names in borrowed.items()
+    ]
+
+
 def _provenance(
-    campaign: Campaign, curve: StressCurve | None, misfit: float | None
+    campaign: Campaign,
+    curve: StressCurve | None,
+    misfit: float | None,
+    origins: Mapping[str, str],
 ) -> Mapping[str, str | float]:
     entries: dict[str, str | float] = {
         "standing": campaign.standing,
+        "standing_of": ", ".join(_tested(campaign)),
+        **origins,
         "method": METHODS[campaign.method] if campaign.shear else "cantilever tests",
         "date": date.today().isoformat(),
         "quasiform": package_version(),

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import warnings
 from pathlib import Path
+from textwrap import fill
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..material import PRESETS, Fabric
+from ..material import Fabric
 from ..plot import DPI, FIRST, SECOND, STYLE, WIDTH
 from .specimen import OffAxis
 
@@ -17,8 +18,13 @@ if TYPE_CHECKING:
 
     from .identified import Identification
 
-PRESET_STYLE = {"best-fit": "--", "locking": ":"}
+PRESET_STYLE = {  # seen where they coincide: dashes on a broad light line
+    "locking": {"color": "0.8", "lw": 3.0, "solid_capstyle": "butt", "zorder": 1.0},
+    "best-fit": {"color": "0.25", "lw": 0.8, "ls": "--", "zorder": 3.0},
+}
+TALLEST = 3.0  # times the largest stress of the tests: a preset above would flatten their curve
 MARKERS = "os^Dv<>"
+BELOW = {"loc": "upper left", "bbox_to_anchor": (-0.02, -0.16), "borderaxespad": 0}
 SHOWN = 60  # points a test
 
 
@@ -28,7 +34,9 @@ def save_picture(identification: Identification, path: str | Path) -> None:
     from matplotlib.figure import Figure
 
     with rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH, 3.2), layout="constrained")
+        tests = len(identification.campaign.shear)
+        height = 3.4 + 0.16 * max(tests + 4, 2 * tests)  # the curves, and a line for each below
+        figure = Figure(figsize=(WIDTH, height), layout="constrained")
         stress, forces = figure.subplots(1, 2)
         _draw_stress(stress, identification)
         _draw_forces(forces, identification)
@@ -58,23 +66,41 @@ def _draw_stress(axes: Axes, identification: Identification) -> None:
     S, half = curve.stress(I6), 2.0 * curve.deviation(I6)
     for test, marker in zip(campaign.shear, MARKERS, strict=False):
         angle, value = _apparent(identification, test)
-        label = f"{_short(campaign.standing)}: {_short(test.name)}"
+        label = fill(f"{_short(campaign.standing)}: {_short(test.name)}", 44)
         axes.plot(angle, value, marker, color="0.55", markersize=2.2, mew=0, label=label)
     axes.fill_between(gamma, S - half, S + half, color=FIRST, alpha=0.2, lw=0)
     axes.plot(gamma, S, color=FIRST, label="energy method, 95 %")
     if identification.fitted is not None:
         law = identification.fabric.shear
         axes.plot(gamma, law.stress(I6), color=SECOND, label="fitted law")
-    top = 1.15 * S.max()
-    for name in PRESETS:
+    end, top = max(curve.high, 60.0), S.max()
+    for name, style in PRESET_STYLE.items():
         preset = Fabric.preset(name)
-        beyond = np.linspace(0.0, max(curve.high, 60.0), 400)
-        value = preset.shear.stress(np.sin(np.radians(beyond)))
-        style = {"ls": PRESET_STYLE[name], "color": "0.25", "lw": 0.8}
-        axes.plot(beyond, value, label=f"{preset.name} (paper)", **style)
-    axes.set(xlabel="shear angle γ [°]", ylabel="$S_{12}$ [MPa]", ylim=(0, top))
-    axes.set_xlim(0, max(curve.high, 60.0))
-    axes.legend(loc="upper left")
+        tallest = _tallest(preset, curve.high, TALLEST * S.max())
+        if tallest is None:
+            words = f"{preset.name} (paper):\nnot drawn, over {TALLEST:g} times as high"
+            axes.plot([], [], " ", label=words)
+            continue
+        top = max(top, tallest)
+        value = preset.shear.stress(np.sin(np.radians(np.linspace(0.0, end, 400))))
+        axes.plot(np.linspace(0.0, end, 400), value, label=f"{preset.name} (paper)", **style)
+    axes.set(xlabel="shear angle γ [°]", ylabel="$S_{12}$ [MPa]", ylim=(0, 1.1 * top))
+    axes.set_xlim(0, end)
+    axes.legend(**BELOW)
+
+
+def _tallest(preset: Fabric, high: float, limit: float) -> float | None:
+    """Stress of a preset that the axis shall reach, MPa; None where that is above the limit.
+
+    It is that at the largest tested angle, degrees. A law that locks before, and climbs out of the
+    picture as a wall, is shown up to there.
+    """
+    I6 = np.sin(np.radians(min(high, 90.0)))
+    for at in (I6, min(I6, preset.shear.I_lo)):
+        value = float(preset.shear.stress(at))
+        if value <= limit:
+            return value
+    return None
 
 
 def _apparent(identification: Identification, test: object) -> tuple[np.ndarray, np.ndarray]:
@@ -99,7 +125,7 @@ def _draw_forces(axes: Axes, identification: Identification) -> None:
         strip = isinstance(test.specimen, OffAxis)
         kind = f"off-axis {test.specimen.angle:g}°" if strip else "frame"
         points = {"color": "0.55", "markersize": 2.2, "mew": 0}
-        label = f"{kind}, {_short(campaign.standing)}"
+        label = fill(f"{kind}, {_short(campaign.standing)}", 44)
         axes.plot(angle[shown], forces.force[shown], marker, label=label, **points)
         fine = np.linspace(angle.min(), angle.max(), 200)
         shares, angles = (
@@ -112,4 +138,4 @@ def _draw_forces(axes: Axes, identification: Identification) -> None:
     axes.set(xlabel="shear angle γ [°]", ylabel=f"force [{unit}]")
     axes.set_xlim(left=0)
     axes.set_ylim(bottom=0)
-    axes.legend(loc="upper left")
+    axes.legend(**BELOW)

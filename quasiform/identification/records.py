@@ -37,13 +37,32 @@ NAMES = {
     "shear_angle": "shearangle gamma γ angle scherwinkel",
     "shear_force": "shearforce normalisedshearforce normalizedshearforce fsh",
 }
+SECOND = {  # names that count where none of NAMES is there: they may be another's beside it
+    "displacement": "position crossheaddisplacement crossheadposition crossheadtravel "
+    "crossheadextension crossheadmovement machinedisplacement machineextension standardtravel "
+    "standardweg tensiledisplacement tensileextension axialdisplacement axialposition actuator "
+    "actuatordisplacement actuatorposition pistonstroke gripdisplacement traversenweg "
+    "traversenposition traversenverschiebung maschinenweg kolbenweg prüfweg dehnweg "
+    "längenänderung",
+    "force": "standardforce tensileforce tensileload axialforce axialload testforce testload "
+    "loadcell prüfkraft zugkraft axialkraft maschinenkraft",
+}
 UNITS = {  # mm, N, rad, N/mm each; the first is assumed where none is declared
-    "displacement": {"mm": 1.0, "m": 1e3, "cm": 10.0, "um": 1e-3, "µm": 1e-3, "in": 25.4},
+    "displacement": {
+        "mm": 1.0,
+        "m": 1e3,
+        "cm": 10.0,
+        "um": 1e-3,
+        "µm": 1e-3,
+        "in": 25.4,
+        "inch": 25.4,
+    },
     "force": {"N": 1.0, "kN": 1e3, "cN": 1e-2, "lbf": 4.4482216152605},
     "shear_angle": {"deg": pi / 180, "°": pi / 180, "rad": 1.0},
     "shear_force": {"N/mm": 1.0, "N/m": 1e-3, "kN/m": 1.0},
 }
 _QUANTITY = {name: quantity for quantity, names in NAMES.items() for name in names.split()}
+_SECOND = {name: quantity for quantity, names in SECOND.items() for name in names.split()}
 _UNIT = "|".join(sorted((re.escape(u) for known in UNITS.values() for u in known), key=len)[::-1])
 _NAME_UNIT = (  # what a heading may look like, its name and its unit
     re.compile(r"(.+?)\s*[\[(]\s*([^\])]*?)\s*[\])]"),  # Force [N]
@@ -99,8 +118,8 @@ def read(
         Heading, or position counted from "1", of a quantity whose heading is not recognised or
         not the only one. A file without headings needs the positions of all it is read for.
     units : mapping, optional
-        Unit of a quantity, over what the file says: mm, m, cm, um, in; N, kN, cN, lbf; deg, rad;
-        N/mm, N/m, kN/m.
+        Unit of a quantity, over what the file says: mm, m, cm, um, in, inch; N, kN, cN, lbf; deg,
+        rad; N/mm, N/m, kN/m.
 
     Returns
     -------
@@ -117,7 +136,7 @@ def read(
         check_keys(columns, NAMES, "columns")
         check_keys(units, NAMES, "units")
         rows = _rows(_text(Path(path)))
-        places, declared, first = _places(rows, columns)
+        places, declared, first = _places(rows, columns, notices)
         values, lines = _numbers(rows[first:], places)
         for quantity in values:
             unit = units.get(quantity) or declared.get(quantity)
@@ -261,7 +280,7 @@ def _plain(name: str) -> str:
 
 def _name_unit(heading: str) -> tuple[str, str | None]:
     """Name, without blanks and in small letters, and unit of a heading such as Force [kN]."""
-    if _plain(heading) not in _QUANTITY and len(heading) < 200:
+    if _plain(heading) not in _QUANTITY | _SECOND and len(heading) < 200:
         for pattern in _NAME_UNIT:
             match = pattern.fullmatch(heading)
             if match:
@@ -284,9 +303,20 @@ def _candidates(cells: list[str], columns: Mapping[str, str]) -> dict[str, list[
         quantity = _QUANTITY.get(_name_unit(cell)[0])
         if quantity and quantity not in columns and k not in taken:
             found.setdefault(quantity, []).append(k)
+    for quantity in [q for q in SECOND if not _there(q, found)]:
+        names = [_SECOND.get(_name_unit(cell)[0]) for cell in cells]
+        places = [k for k, name in enumerate(names) if name == quantity and k not in taken]
+        if places:
+            found[quantity] = places
     if "force" in columns or "shear_force" in columns:  # the one asked for, not the other beside it
         found = {q: k for q, k in found.items() if q in columns or not q.endswith("force")}
     return found
+
+
+def _there(quantity: str, found: Mapping[str, object]) -> bool:
+    """Whether the quantity is there, or the other one of the two forces."""
+    forces = ("force", "shear_force")
+    return any(q in found for q in (forces if quantity == "force" else (quantity,)))
 
 
 def _enough(found: Mapping[str, object]) -> bool:
@@ -297,7 +327,7 @@ def _enough(found: Mapping[str, object]) -> bool:
 
 
 def _places(
-    rows: list[Row], columns: Mapping[str, str]
+    rows: list[Row], columns: Mapping[str, str], notices: list[str]
 ) -> tuple[dict[str, int], dict[str, str], int]:
     """Column and declared unit of each quantity, and the first row of numbers."""
     numbers = next((k for k, row in enumerate(rows) if _numeric(row[2]) and not row[1]), None)
@@ -327,8 +357,10 @@ def _places(
             names = " and ".join(f"'{cells[k]}' (column {k + 1})" for k in many)
             raise InputError(
                 f"{names} may both be the {_label(quantity)}: choose with "
-                f"columns={{'{quantity}': '{many[0] + 1}'}}"
+                f"{_option('columns', quantity, str(many[0] + 1))}"
             )
+        if quantity not in columns and _name_unit(cells[many[0]])[0] in _SECOND:
+            notices.append(f"The column '{cells[many[0]]}' was taken as the {_label(quantity)}.")
     places = _one_force({quantity: many[0] for quantity, many in found.items()}, cells)
     declared, first = _declared(cells, places), heading + 1
     while first < len(rows) and rows[first][1]:
@@ -344,7 +376,7 @@ def _one_force(places: dict[str, int], cells: list[str]) -> dict[str, int]:
         force, shear_force = (cells[places[quantity]] for quantity in ("force", "shear_force"))
         raise InputError(
             f"'{force}' is a force and '{shear_force}' a shear force: choose one with "
-            f"columns={{'force': '{force}'}} or columns={{'shear_force': '{shear_force}'}}"
+            f"{_option('columns', 'force', force)} or {_option('columns', 'shear_force', '...')}"
         )
     return places
 
@@ -361,6 +393,11 @@ def _declared(
         if unit:
             declared[quantity] = unit
     return declared
+
+
+def _option(name: str, quantity: str, value: str) -> str:
+    """How each caller says which column or unit a quantity has."""
+    return f'--{name} {quantity}="{value}" (in TOML and Python: {name})'
 
 
 def _listed(cells: list[str]) -> str:
@@ -383,11 +420,14 @@ def _no_heading(rows: list[Row], columns: Mapping[str, str]) -> str:
             force = found.get("force") or found.get("shear_force")
             lacking = "displacement or shear angle" if force else "force or shear force"
             key = "displacement" if force else "force"
-            return (
-                f"no column of a {lacking}: found {_listed(cells)}; name it with "
-                f"columns={{'{key}': ...}}"
+            near = [cell for cell in cells if _known(key, _name_unit(cell)[1] or "")]  # by its unit
+            return f"no column of a {lacking}: found {_listed(cells)}; name it with " + _option(
+                "columns", key, near[0] if near else "..."
             )
-    return "no line of headings: give positions, columns={'displacement': '1', 'force': '2'}"
+    return (
+        "no line of headings: give positions, "
+        "--columns displacement=1,force=2 (in TOML and Python: columns)"
+    )
 
 
 def _numbers(
@@ -400,7 +440,7 @@ def _numbers(
             table.append([cells[k] if k < len(cells) else "" for k in places.values()])
             lines.append(line)
     if len(table) < FEWEST:
-        raise InputError(f"only {len(table)} rows of numbers, at least {FEWEST} are needed")
+        raise InputError(f"only {rows_of(len(table))} of numbers, at least {FEWEST} are needed")
     marks = [mark for row in table for cell in row for mark in cell if mark in ",."]
     wrong = "." if 2 * marks.count(",") > len(marks) else ","  # the rarer is no decimal sign
     values = np.empty((len(table), len(places)))
@@ -412,6 +452,17 @@ def _numbers(
             if not abs(values[i, j]) < 1e30:
                 raise InputError(f"line {line}: the {_label(quantity)} is not finite: {cell!r}")
     return dict(zip(places, values.T.copy(), strict=True)), np.array(lines)
+
+
+def rows_of(n: int) -> str:
+    """Return a number of rows in words.
+
+    Examples
+    --------
+    >>> rows_of(1), rows_of(2)
+    ('1 row', '2 rows')
+    """
+    return "1 row" if n == 1 else f"{n} rows"
 
 
 # Units
@@ -442,7 +493,7 @@ def _factor(quantity: str, unit: str | None, values: FloatArray, notices: list[s
         if quantity == "force" and largest < 0.5:
             raise InputError(
                 f"the largest force is {largest:.3g} without a unit, which looks like kN: declare "
-                "it, Force [kN] in the heading or units={'force': 'kN'}"
+                f"it, Force [kN] in the heading or {_option('units', 'force', 'kN')}"
             )
         if quantity == "shear_angle" and largest < 1.6:
             notices.append("The shear angle has no unit and stays below 1.6: taken as rad.")
@@ -471,26 +522,29 @@ def _loading(values: Mapping[str, FloatArray], lines: np.ndarray, notices: list[
     force_name = "shear_force" if per_length else "force"
     x, f, angle = values[along], values[force_name], values.get("shear_angle")
 
-    few = f"rows belong to the loading, at least {FEWEST} are needed"
+    def few(n: int) -> str:
+        """Refuse what is left."""
+        belong = "row belongs" if n == 1 else "rows belong"
+        return f"only {n} {belong} to the loading, at least {FEWEST} are needed"
+
     end = int(x.argmax()) + 1
     if end < FEWEST:
-        raise InputError(
-            f"only {end} {few}: the {_label(along)} is largest at line {lines[end - 1]}"
-        )
+        raise InputError(f"{few(end)}: the {_label(along)} is largest at line {lines[end - 1]}")
     if end < len(x):
         notices.append(
-            f"{len(x) - end} rows after the largest {_label(along)}, {_told(along, x[end - 1])}, "
-            "were cut."
+            f"{rows_of(len(x) - end)} after the largest {_label(along)}, "
+            f"{_told(along, x[end - 1])}, {'was' if len(x) - end == 1 else 'were'} cut."
         )
     top = int(f[:end].argmax())
     if f[top] > 0 and f[top:end].min() < (1 - DROP) * f[top]:
         notices.append(
             f"The force drops by more than {100 * DROP:g} % after {_told(force_name, f[top])} at "
-            f"{_told(along, x[top])}: {end - top} rows from there on were cut."
+            f"{_told(along, x[top])}: {rows_of(end - top)} from there on "
+            f"{'was' if end - top == 1 else 'were'} cut."
         )
         end = top
     if end < FEWEST:
-        raise InputError(f"only {end} {few}")
+        raise InputError(few(end))
     x, f, angle = x[:end], f[:end], angle if angle is None else angle[:end]
 
     reached = np.maximum.accumulate(x)
@@ -503,11 +557,13 @@ def _loading(values: Mapping[str, FloatArray], lines: np.ndarray, notices: list[
         )
     ahead = np.r_[True, x[1:] > reached[:-1]]
     if not ahead.all():
-        notices.append(f"{(~ahead).sum()} rows that do not move ahead were left out.")
+        n = int((~ahead).sum())
+        words = "that does not move ahead was" if n == 1 else "that do not move ahead were"
+        notices.append(f"{rows_of(n)} {words} left out.")
     x, f, angle = x[ahead], f[ahead], angle if angle is None else angle[ahead]
 
     if len(x) < FEWEST:
-        raise InputError(f"only {len(x)} {few}")
+        raise InputError(few(len(x)))
     if f.max() <= 0:
         raise InputError("the force is nowhere positive while loading: is its sign reversed?")
     slack = _slack(x, f) if along == "displacement" else None
@@ -531,7 +587,7 @@ def _loading(values: Mapping[str, FloatArray], lines: np.ndarray, notices: list[
                 f"The curve begins at {x[0]:.4g} mm with {_told(force_name, f[0])}: not shifted."
             )
     if len(x) < FEWEST:
-        raise InputError(f"only {len(x)} {few}")
+        raise InputError(few(len(x)))
     sigma = _noise(x, f)
     if not slack and along == "displacement" and x[0] == 0 and f[0] > 3 * sigma[0]:
         notices.append(f"A preload of {_told(force_name, f[0])} was kept.")

@@ -58,6 +58,10 @@ class OffAxis:
         """The strip with inextensible fibres."""
         return OffAxisTension(self.length, self.width, np.radians(self.angle))
 
+    def described(self, curve: Curve) -> str:
+        """The specimen in words; empty where the curve needs none of its sizes."""
+        return f"strip of {self.length:g} x {self.width:g} mm at {self.angle:g} degrees"
+
     def displacement(self, curve: Curve) -> FloatArray:
         """(n,) grip displacement of the rows, mm: the one measured, or that of a measured angle.
 
@@ -117,6 +121,13 @@ class PictureFrame:
         check_number("side", self.side)
         if self.fabric_side is not None:
             check_number("fabric_side", self.fabric_side)
+
+    def described(self, curve: Curve) -> str:
+        """The specimen in words; empty where the curve needs none of its sizes."""
+        if curve.per_length and curve.shear_angle is not None:
+            return ""
+        fabric = f", fabric of {self.fabric_side:g} mm" if self.fabric_side else ""
+        return f"frame of {self.side:g} mm sides{fabric}"
 
     def angle(self, curve: Curve) -> FloatArray:
         """(n,) shear angle of the rows, radians: measured, or that of the hinged frame.

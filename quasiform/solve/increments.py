@@ -73,6 +73,12 @@ class Progress:
 Callback = Callable[[Progress], bool | str | None]
 
 
+def tell(callback: Callback | None, stage: str) -> None:
+    """Tell what follows the travel, in words, to a callback that has a method `stage` for it."""
+    if hasattr(callback, "stage"):
+        callback.stage(stage)
+
+
 @dataclass(frozen=True)
 class Settings:
     """How a scene is solved; see `solve`."""
@@ -122,6 +128,7 @@ def solve(
     callback : callable, optional
         Told the `Progress` after each increment. It stops the run there by returning True, or the
         reason in words. What it changes of the scene's terms counts from the next increment on.
+        If it has a method `stage`, that is told in words what follows the travel.
     increment : float, optional
         Size of the increments in units of the travel; the scene's own choice if not given.
         A history row is kept for each; else rows fall on the scene's round values.
@@ -169,6 +176,7 @@ def solve(
             for size in (2 * scene.size, 4 * scene.size):
                 if size > scene.coarsest and coarser:
                     break
+                tell(callback, f"error of the mesh: the same at {size:g} mm")
                 coarser.insert(0, follow(scene.resized(size), settings, partial=False))
                 if coarser[0].reason:
                     break

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import io
 import json
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from shutil import rmtree
@@ -77,7 +78,11 @@ class Journal:
     def _read(self) -> None:
         path = self.folder / RESUME
         if not path.is_file():
-            raise InputError(f"{self.folder} holds no run that can be carried on ({RESUME})")
+            status = ""
+            with suppress(OSError, ValueError, KeyError, TypeError):
+                status = json.loads((self.folder / "summary.json").read_bytes())["status"]
+            done = ": it is completed" if status == "completed" else f" ({RESUME})"
+            raise InputError(f"{self.folder} holds no run that can be carried on{done}")
         try:
             with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
                 arrays = {name: file[name] for name in file.files}
@@ -185,6 +190,8 @@ class Journal:
             raise InputError(
                 f"{self.folder}: the run there was made with another {', '.join(changed)}"
             )
+        for parameters in (given, held["parameters"]):
+            parameters.pop("scene_file", None)  # it may have moved
         if held["parameters"] != given or arrays["x"].shape != scene.x0.shape:
             raise other
         run.x = arrays["x"]

@@ -29,7 +29,7 @@ from ..checks import InputError, check_number
 from ..energy.contact import Contact
 from ..result import Result, State
 from ..scene import Scene
-from .increments import ESTIMATING, Callback, Run, Settings, follow
+from .increments import ESTIMATING, Callback, Run, Settings, follow, tell
 from .journal import Journal
 from .newton import Equilibrium, NotConvergedError
 
@@ -126,6 +126,7 @@ def _refined(
         if not waiting:
             break
         finer = waiting.pop(0)
+        tell(callback, f"the end on a mesh of {finer.size:g} mm")
         try:
             result, path, last = _carry(levels[-1], finer, last, path, callback, settings)
         except KeyboardInterrupt:
@@ -138,6 +139,7 @@ def _refined(
     result = levels[-1]
     result.judge(levels[:-1])
     if len(levels) == 1 and not result.reason:
+        tell(callback, f"error of the mesh: the same at {2 * scene.size:g} mm")
         try:
             result.judge([follow(scene.resized(2 * scene.size), settings, partial=False)])
         except InputError:  # too coarse to be built: the result stands without an estimate
@@ -221,6 +223,7 @@ def _carry(
         if scene.lost(x):
             raise NotConvergedError(scene.lost(x), x, np.inf)
     except NotConvergedError:
+        tell(callback, f"its end was not found: the path on a mesh of {scene.size:g} mm")
         result = follow(scene, settings, callback)
         result.rescues["path followed on the finer mesh"] = 1
         _add_work(result, coarse, equilibrium.linear_solves)

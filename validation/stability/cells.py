@@ -39,7 +39,7 @@ PATIENCE = 4.0  # times that by the wall clock, for a cell that waits and does n
 # what has no part in a solution: a change there leaves the cells as they are
 APART = {
     *("__main__", "arguments", "cli", "completion", "doctor", "forecast", "progress"),
-    *("files", "journal", "saved", "plot", "pictures", "view", "report"),
+    *("files", "journal", "saved", "plot", "pictures", "view", "report", "surface", "surface_file"),
     *("compare", "export", "identification", "cad_mesh", "theory"),
     *("levels", "spread"),
 }

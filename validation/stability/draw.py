@@ -47,6 +47,7 @@ DOUBTS = {  # of the certificate, in a word; the gravest first
     "penetration": "depth",
     "energy balance": "energy",
     "no pivots": "no pivots",
+    "friction follows": "path",
 }
 SHORT = {
     "default": "default",
