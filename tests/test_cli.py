@@ -320,11 +320,12 @@ def test_oat_writes_every_file_into_a_new_folder(capsys, here):
     assert "completed at 5 of 5 mm" in out
     assert f"force          {summary['force_N']:.4g} ±" in out
     assert "certified      yes" in out
-    assert f"{summary['linear_solves']} (" in out
+    assert f"linear solves  {summary['linear_solves']} of the finest mesh (" in out
     assert [name for name in FILES if name not in out] == []
     lines = err.splitlines()
-    assert len(lines) == summary["increments"]
-    assert lines[-1].startswith("travel 5 of 5, ")
+    assert len(lines) == summary["increments"] + 1
+    assert lines[-2].startswith("travel 5 of 5, ")
+    assert lines[-1] == "error of the mesh: the same at 80 mm"
 
     first = contents(here / "oat-45")
     assert main(OAT) == 0
@@ -624,7 +625,8 @@ def test_the_live_bar_gives_the_cursor_back(capsys, monkeypatch):
 def test_the_live_bar_is_lines_in_a_log(capsys):
     with LiveProgress(80.0) as callback:
         callback(STEP)
-    assert capsys.readouterr().err == f"{WORDS}\n"
+        callback.stage("the end on a mesh of 5 mm")
+    assert capsys.readouterr().err == f"{WORDS}\nthe end on a mesh of 5 mm\n"
 
 
 # Installed, and as printed in README.md
