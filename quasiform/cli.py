@@ -401,7 +401,7 @@ def _report(result: Result) -> str:
         rows["error estimate"] = "none: no coarser mesh of this scene came to the same end"
     elif summary["error_estimate"]["shear_angle_deg"] > WIDE:
         rows["error estimate"] = "wide: --accuracy 1 or a smaller --size narrows it"
-    doubtful = {k: v for k, v in summary["doubtful_share"].items() if v > 0}
+    doubtful = {k: v for k, v in summary["doubtful_share"].items() if v >= 0.005}
     if doubtful:
         rows["doubtful"] = _pairs({k.replace("_", " "): v for k, v in doubtful.items()}, ".0%")
         rows["doubtful"] += " of the area"
