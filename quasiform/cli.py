@@ -398,9 +398,13 @@ def _report(result: Result) -> str:
         found = {name: _off(errors, f"area_{name}_deg") for name in summary["areas"]}
         rows["areas"] = _pairs(summary["areas"], ".2f", found) + " deg (mean shear angle)"
     if not errors:
-        rows["error estimate"] = "none: no coarser mesh of this scene came to the same end"
+        why = "no coarser mesh of this scene came to the same end"
+        if result.reason or result.collapse:
+            why = "the run stopped early" if result.reason else "the sheet has collapsed"
+        rows["error estimate"] = f"none: {why}"
     elif summary["error_estimate"]["shear_angle_deg"] > WIDE:
-        rows["error estimate"] = "wide: --accuracy 1 or a smaller --size narrows it"
+        finer = "--accuracy 1 or a smaller" if result.scene.contacts else "a smaller"
+        rows["error estimate"] = f"wide: {finer} --size narrows it"
     doubtful = {k: v for k, v in summary["doubtful_share"].items() if v >= 0.005}
     if doubtful:
         rows["doubtful"] = _pairs({k.replace("_", " "): v for k, v in doubtful.items()}, ".0%")
@@ -438,7 +442,8 @@ def _report(result: Result) -> str:
 
 def _campaign(campaign: Campaign) -> str:
     fabric, origins = campaign.fabric, campaign.fabric.provenance
-    rows = [f"{campaign.name}: {METHODS[campaign.method]}"]
+    method = METHODS[campaign.method] if campaign.shear else "cantilever tests"
+    rows = [f"{campaign.name}: {method}"]
     if campaign.shear:
         rows.append(f"  thickness {fabric.thickness:g} mm ({origins['thickness']})")
     if campaign.bending:

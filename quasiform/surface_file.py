@@ -176,12 +176,13 @@ def _read_mesh(path: Path, kind: str) -> Surface:
 
 def _check_whole(content: bytes) -> None:
     """Refuse an STL file that ends too early."""
-    if content[:5] == b"solid" and content.isascii() and b"facet" in content:
+    text = b"\0" not in content  # a name may hold any letters; binary triangles hold zeros
+    if text and content[:5] == b"solid" and b"facet" in content:
         if b"endsolid" not in content[-1000:]:
             raise InputError(
                 "the file is cut off, without endsolid at its end: export or copy it anew"
             )
-    elif len(content) >= 84 and not content.isascii():
+    elif len(content) >= 84 and not text:
         promised = int.from_bytes(content[80:84], "little")
         if len(content) < 84 + 50 * promised:
             there = (len(content) - 84) // 50
@@ -373,7 +374,7 @@ def _without_slivers(
         for t in slivers:
             a, b, m = np.roll(triangles[t], -longest[t])
             at = keys.searchsorted(b * n + a)
-            u = order[at] // 3 if keys[at : at + 1] == b * n + a else -1
+            u = order[at] // 3 if b * n + a in keys[at : at + 1] else -1
             if t in touched or u in touched:
                 continue
             if u < 0:  # its longest edge is on the rim
@@ -382,7 +383,7 @@ def _without_slivers(
                 continue
             c = (set(triangles[u].tolist()) - {a, b}).pop()
             pair = np.array([[a, c, m], [c, b, m]])
-            there = any(keys[keys.searchsorted(k) :][:1] == k for k in (c * n + m, m * n + c))
+            there = any(k in keys[keys.searchsorted(k) :][:1] for k in (c * n + m, m * n + c))
             if c == m or there or heights(pair)[0].min() <= height[t]:
                 continue
             triangles[[t, u]] = pair

@@ -539,3 +539,11 @@ def test_sigma_of_the_mean_is_not_below_the_noise():
 def test_repeats_that_do_not_belong_together(curves, message):
     with pytest.raises(InputError, match=message):
         mean_of(curves)
+
+
+def test_a_measured_angle_is_not_overruled_by_a_position(read):
+    heading = "Position (V),shear angle (deg),Force (N)\n"
+    found = read(heading + rows(0.1 * X, ANGLE, F))
+    plain = read("shear angle (deg),Force (N)\n" + rows(ANGLE, F))
+    assert found.displacement is None
+    assert_array_equal(found.shear_angle, plain.shear_angle)

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from quasiform import surface_file
 from quasiform.checks import InputError
 from quasiform.forming import forming
 from quasiform.surface import check_surface, from_file, placed, placed_and_told, surface_grid
@@ -776,3 +777,24 @@ def test_missing_gmsh_is_told(tmp_path, monkeypatch):
         InputError, match=r"a .step file needs gmsh: pip install 'quasiform\[cad\]'"
     ):
         read_surface(tmp_path / "tool.step")
+
+
+@pytest.mark.parametrize("flip", [False, True])
+@pytest.mark.parametrize("corner", range(3))
+def test_sliver_at_the_last_vertex_is_taken_out(corner, flip):
+    """Its longest edge is on the rim, and no edge sorts behind it."""
+    x = np.array([[0.0, 0, 0], [0, 1, 0], [1 - 1e-7, 0.5, 0], [1, 0, 0], [1, 1, 0]])
+    triangles = np.array([[0, 3, 2], [0, 2, 1], [1, 2, 4], [3, 4, 2]])
+    triangles[3] = np.roll(triangles[3], corner)
+    if flip:
+        triangles = triangles[:, ::-1]
+    kept, taken = surface_file._without_slivers(x, triangles.copy(), 1e-5)
+    assert (len(kept), taken) == (3, 1)
+
+
+def test_text_file_with_letters_in_its_name(tmp_path):
+    path = tmp_path / "punch.stl"
+    corners = "".join(f"vertex {x} {y} 0\n" for x, y in ((0, 0), (1, 0), (0, 1)))
+    facet = f"facet normal 0 0 1\nouter loop\n{corners}endloop\nendfacet\n"
+    path.write_text(f"solid Stempel für Blech\n{facet}endsolid\n", encoding="utf-8")
+    assert len(read_surface(path)[1]) == 1

@@ -325,7 +325,7 @@ def compare(
             "differences at points, where a sheet of triangles has the mean of those around; "
             "means, percentile, maxima and areas "
             + (
-                "of each sheet's own triangles, as in summary.json"
+                "of each sheet's own triangles, as in summary.json (there of |γ| at the end)"
                 if whole
                 else "at the points compared alone: not those of summary.json"
             )
@@ -460,7 +460,7 @@ def _other_blank(sheet: Sheet, theirs: Sheet) -> list[str]:
 def _off_sheet(share: float, of_result: bool, align: str) -> str:
     """Warn that little of the two sheets is compared."""
     tried = {"none": "shift", "shift": "rigid"}.get(align)
-    remedy = f'try --align {tried} (align="{tried}"), or' if tried else "check"
+    remedy = f'try --align {tried} (align="{tried}"), or check' if tried else "check"
     of = (
         "the result's area is off the reference" if of_result else "the reference is off the result"
     )

@@ -109,10 +109,12 @@ def _field(figure: Figure, axes: Axes, comparison: Comparison, panel: str) -> No
     bar = figure.colorbar(colours, ax=axes, shrink=0.8, label="degrees")
     if panel == "difference":
         return
-    for angle in {round(angle, 3) for angle in comparison.locking if angle <= scale["vmax"]}:
+    angles = sorted({round(a, 3) for a in comparison.locking if a <= scale["vmax"]})
+    for angle in angles:
         bar.ax.axhline(angle, color="black", linewidth=2.4)
         bar.ax.axhline(angle, color="white", linewidth=1.0)
-        bar.ax.set_title(f"locking {angle:.0f}°", fontsize=7)
+    if angles:
+        bar.ax.set_title(f"locking {' and '.join(f'{a:.0f}°' for a in angles)}", fontsize=7)
 
 
 def _outlines(axes: Axes, comparison: Comparison, panel: str) -> None:

@@ -150,7 +150,7 @@ def _of_result(result: Result, reading: Reading) -> Run:
         state,
         {"travel": history[result.scene.travel_name], "force": history["force_N"]},
         dict(result.scene.areas),
-        scene=str(parameters.get("scene", "")),
+        scene=str(parameters.get("scene_file") or parameters.get("scene", "")),
         locking=locking_angle(parameters),
     )
 
@@ -178,7 +178,7 @@ def _of_folder(folder: Path, reading: Reading) -> Run:
         run = replace(
             run,
             areas=_areas(parameters, folder),
-            scene=str(parameters.get("scene", "")),
+            scene=str(parameters.get("scene_file") or parameters.get("scene", "")),
             locking=locking_angle(parameters),
         )
         if run.travels == (None,) and isinstance(content.get("reached_mm"), int | float):

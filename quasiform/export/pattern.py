@@ -150,7 +150,7 @@ def flat_pattern(
         lines = rim
     elif isinstance(trim, str) and trim == "die":
         lines = _seen(part, _opening(part), notices)
-        notices.append(f"the die's opening is that of the scene '{part.scene}'")
+        notices.append(f"the die's opening is that of the scene '{Path(part.scene).name}'")
     else:
         lines = []
         for curve in _curves(trim, scale):

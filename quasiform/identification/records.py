@@ -314,9 +314,9 @@ def _candidates(cells: list[str], columns: Mapping[str, str]) -> dict[str, list[
 
 
 def _there(quantity: str, found: Mapping[str, object]) -> bool:
-    """Whether the quantity is there, or the other one of the two forces."""
-    forces = ("force", "shear_force")
-    return any(q in found for q in (forces if quantity == "force" else (quantity,)))
+    """Whether the quantity is there, or the other one that stands in for it."""
+    other = {"force": "shear_force", "displacement": "shear_angle"}[quantity]
+    return quantity in found or other in found
 
 
 def _enough(found: Mapping[str, object]) -> bool:
