@@ -33,6 +33,7 @@ FloatArray = np.ndarray
 CERTIFIED_RESIDUAL = 1e-3
 CERTIFIED_BALANCE = 1e-2
 CERTIFIED_PENETRATION = 0.03  # of the thickness
+ROBUST = {"robust": True}  # a quantity that no perturbed start has questioned
 LIFTED = 0.1  # of the thickness: a flange that is lifted further has wrinkled
 
 
@@ -363,19 +364,31 @@ class Result:
         deepest = CERTIFIED_PENETRATION * self.scene.fabric.thickness
         if self.max_penetration > deepest:
             doubts.append(
-                f"penetration {self.max_penetration:.3f} mm at a node, above {deepest:.3f}"
+                f"penetration {self.max_penetration:.4f} mm at a node, {deepest:.4f} allowed"
             )
         if self.energy_balance > CERTIFIED_BALANCE:
             doubts.append(
-                f"energy balance open by {100 * self.energy_balance:.1f} %, above "
-                f"{100 * CERTIFIED_BALANCE:g}"
+                f"energy balance open by {100 * self.energy_balance:.1f} %, "
+                f"{100 * CERTIFIED_BALANCE:g} % allowed"
             )
         if self.collapse:
             doubts.append(f"collapsed from {self.collapse['travel_mm']:.4g} mm on")
         given, own = self.settings.get("increment"), self.scene.increment
         if given and self.scene.frictions and given > own * (1 + 1e-6):
             doubts.append(f"friction follows its path in increments of {own:g} mm, not {given:g}")
+        scatter = [name for name in self.quantities if not self.spread.get(name, ROBUST)["robust"]]
+        if scatter:
+            doubts.append(f"perturbed starts scatter in {', '.join(scatter)}")
+        elif self.wrinkled and not self.spread:
+            doubts.append("wrinkled, one of many states: perturbed starts tell what is robust")
         return "; ".join(doubts) if doubts else True
+
+    @property
+    def wrinkled(self) -> bool:
+        """Whether the flange is lifted and waves; on a coarse mesh it lifts beside a fillet too."""
+        if self.flange_lift <= LIFTED * self.scene.fabric.thickness:
+            return False
+        return any(self.wrinkles[f"waving_{family}_lines"] for family in ("warp", "weft"))
 
     @property
     def one_of_many(self) -> str:

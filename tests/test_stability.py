@@ -77,6 +77,20 @@ def test_friction_is_not_certified_over_longer_increments_than_the_scenes_own():
     assert "friction" not in str(qf.solve(slides, increment=6.0, estimate=False).certified)
 
 
+def test_a_wrinkled_sheet_is_certified_where_perturbed_starts_agree(monkeypatch):
+    result = qf.solve(hemisphere(), estimate=False)
+    waves = result.wrinkles | {"flange_lift_mm": 0.3, "waving_warp_lines": 4}
+    monkeypatch.setattr(qf.Result, "flange_lift", 0.3)
+    monkeypatch.setattr(qf.Result, "wrinkles", waves | {"waving_warp_lines": 0})
+    assert result.certified is True  # it only stands off beside the fillet of a coarse mesh
+    monkeypatch.setattr(qf.Result, "wrinkles", waves)
+    assert str(result.certified).startswith("wrinkled, one of many states")
+    result.spread = {name: {"low": 1.0, "high": 1.0, "robust": True} for name in result.quantities}
+    assert result.certified is True
+    result.spread["force_N"]["robust"] = False
+    assert result.certified == "perturbed starts scatter in force_N"
+
+
 def test_spread_tells_what_is_robust():
     result = qf.solve(hemisphere(size=10.0), estimate=False)
     table = qf.spread(result, seeds=(1, 2))

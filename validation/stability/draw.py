@@ -48,6 +48,7 @@ DOUBTS = {  # of the certificate, in a word; the gravest first
     "energy balance": "energy",
     "no pivots": "no pivots",
     "friction follows": "path",
+    "wrinkled": "wrinkled",
 }
 SHORT = {
     "default": "default",
