@@ -40,6 +40,7 @@ from quasiform.scene_file import FOLDER
 
 SECONDS = 20.0  # of a case on the processor, and four times that on the clock
 HARD = 200.0  # of a case that does not come back from compiled code
+PROGRESS = ("travel ", "the end on a mesh of ", "its end was not found", "error of the mesh: ")
 
 
 def cases(share=1.0):
@@ -175,14 +176,14 @@ def run(test, folder, *words, out="out"):
     if status == 2:
         assert not target.exists()
         assert re.fullmatch(r"quasiform: \S.*", lines[-1]), lines
-        assert all(line.startswith("travel ") for line in lines[:-1]), lines
+        assert all(line.startswith(PROGRESS) for line in lines[:-1]), lines
         assert lines[-1].isprintable()
         assert len(lines[-1]) < 1000
         reason = re.sub(r"\S*[/\\]\S+|'.*?'|\S*\d\S*", "*", lines[-1][11:])
         OUTCOMES[test, f"2 {' '.join(reason.split()[:6])}"] += 1
     else:
         assert status in (0, 3)
-        assert all(line.startswith("travel ") for line in lines), lines
+        assert all(line.startswith(PROGRESS) for line in lines), lines
         certified = checked(target) if target.exists() else "(nothing written)"
         OUTCOMES[test, f"{status} {certified}"[:44]] += 1
     return status

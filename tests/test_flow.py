@@ -16,6 +16,7 @@ FLOW = """
     blank tool
     outline surface
     free_mesh scene_file
+    tool_file
     energy
     measure
     scene
@@ -27,6 +28,7 @@ FLOW = """
     saved
     view pictures
     export report
+    arguments
     cli
     __main__
 """
