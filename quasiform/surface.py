@@ -31,7 +31,6 @@ from scipy.spatial.transform import Rotation
 
 from .checks import InputError, check_number
 from .surface_file import (
-    Surface,
     check_numbers,
     edges_of,
     holes_of,
@@ -154,20 +153,9 @@ def from_file(
     InputError
         As these, naming the file.
     """
-    vertices, triangles = placed(path, scale, flip, rotate, origin)
+    vertices, triangles, _ = placed_and_told(path, scale, flip, rotate, origin)
     with naming(path):
         return surface_grid(vertices, triangles, low, high, spacing, reach, scale, flip)
-
-
-def placed(
-    path: str | Path,
-    scale: float = 1.0,
-    flip: bool = False,
-    rotate: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
-) -> Surface:
-    """Read a surface, mend it and put it in the tool's frame: `placed_and_told` without words."""
-    return placed_and_told(path, scale, flip, rotate, origin)[:2]
 
 
 def placed_and_told(

@@ -15,7 +15,7 @@ from numpy.testing import assert_allclose
 from quasiform import surface_file
 from quasiform.checks import InputError
 from quasiform.forming import forming
-from quasiform.surface import check_surface, from_file, placed, placed_and_told, surface_grid
+from quasiform.surface import check_surface, from_file, placed_and_told, surface_grid
 from quasiform.surface_file import read_surface
 
 pytest.importorskip("igl")
@@ -385,7 +385,9 @@ def test_near_vertices_are_merged_and_degenerate_triangles_dropped(tmp_path):
 def test_placement_scales_moves_then_turns_about_x_then_y_then_z(tmp_path):
     vertices, triangles = block(low=(0, 0, 0), high=(1, 2, 3))
     meshio.Mesh(vertices, [("triangle", triangles)]).write(tmp_path / "tool.vtu")
-    vertices, _ = placed(tmp_path / "tool.vtu", 10.0, False, (90, 0, 90), (10.0, 0.0, 0.0))
+    vertices, _, _ = placed_and_told(
+        tmp_path / "tool.vtu", 10.0, False, (90, 0, 90), (10.0, 0.0, 0.0)
+    )
     # x: y -> z, z -> -y; then z: x -> y, y -> -x
     assert_allclose(vertices.min(0), [0, -10, 0], atol=1e-9)
     assert_allclose(vertices.max(0), [30, 0, 20], atol=1e-9)
@@ -395,7 +397,9 @@ def test_placement_of_the_how_to(tmp_path):
     """The punch of docs/how-to/own-part.md: its tip comes to the origin, its base above it."""
     points = np.array([[200.0, 100, 40], [235, 100, 0], [200, 130, 0]])
     meshio.Mesh(points / 25.4, [("triangle", [[0, 1, 2]])]).write(tmp_path / "tool.vtu")
-    vertices, _ = placed(tmp_path / "tool.vtu", 25.4, False, (180, 0, 0), (200, 100, 40))
+    vertices, _, _ = placed_and_told(
+        tmp_path / "tool.vtu", 25.4, False, (180, 0, 0), (200, 100, 40)
+    )
     assert_allclose(sorted(vertices.tolist()), [[0, -30, 40], [0, 0, 0], [35, 0, 40]], atol=1e-9)
 
 

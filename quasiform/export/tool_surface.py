@@ -129,7 +129,7 @@ def from_scene_file(tool: Tool, parameters: dict[str, Any], turn: float) -> Any:
         for part in scene_file.load(str(parameters.get("scene"))).tools:
             given = part.shape
             if part.name == tool.name and isinstance(given, SurfaceFile):
-                vertices, triangles = surface.placed(
+                vertices, triangles, _ = surface.placed_and_told(
                     given.path, given.scale, given.flip, given.rotate, given.origin
                 )
                 vertices[:, :2] = vertices[:, :2] @ rotation(turn)
