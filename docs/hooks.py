@@ -16,7 +16,7 @@ from unittest.mock import patch
 import griffe
 from latex2mathml.converter import convert
 
-from quasiform import cli
+from quasiform.console import cli
 
 PRIMES = (
     ("<mrow><mi>&#x02032;</mi><mi>&#x02032;</mi></mrow>", "<mo>&#x02033;</mo>"),

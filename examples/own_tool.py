@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import quasiform as qf
-from quasiform import scene_file
+from quasiform.scenes import scene_file
 
 
 @dataclass(frozen=True)

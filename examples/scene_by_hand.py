@@ -9,13 +9,13 @@ import numpy as np
 import shapely
 
 import quasiform as qf
-from quasiform.blank import cut
 from quasiform.energy.bending import Bending
 from quasiform.energy.contact import Contact, at_nodes
 from quasiform.energy.friction import Friction
 from quasiform.energy.membrane import Membrane
 from quasiform.energy.weight import GRAVITY, SheetWeight
-from quasiform.tool import ball
+from quasiform.net.blank import cut
+from quasiform.tools.shapes import ball
 
 fabric = qf.Fabric()
 side, radius = 300.0, 60.0

@@ -9,19 +9,19 @@
 Units are mm, N, MPa and mJ; angles are degrees at this edge.
 """
 
-from .blank import Blank, rectangle
 from .checks import InputError
-from .compare import Comparison, compare
-from .experiments import cantilever, off_axis_tension, picture_frame
-from .export import FlatPattern, Handover, abaqus_deck, export, flat_pattern
-from .forming import forming
+from .comparison import Comparison, compare
+from .console.progress import progress
+from .fabric import Fabric, TabulatedLaw, ThreeStageLaw
+from .handover import FlatPattern, Handover, abaqus_deck, export, flat_pattern
 from .identification import Identification, identify
-from .material import Fabric, TabulatedLaw, ThreeStageLaw
-from .progress import progress
-from .result import Result
-from .scene import Scene
+from .model import Scene
+from .net.blank import Blank, rectangle
+from .result.run import Result
+from .scenes.fabric_tests import cantilever, off_axis_tension, picture_frame
+from .scenes.forming import forming
 from .solve import Journal, Progress, refine, solve, spread
-from .tool import Tool
+from .tools.shapes import Tool
 
 __all__ = [
     "Blank",

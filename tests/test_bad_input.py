@@ -33,10 +33,10 @@ import pytest
 from hypothesis import Phase, currently_in_test_context, given, note, settings
 from hypothesis import strategies as st
 
-from quasiform.cli import main
-from quasiform.files import FILES
-from quasiform.material import Fabric
-from quasiform.scene_file import FOLDER
+from quasiform.console.cli import main
+from quasiform.fabric import Fabric
+from quasiform.result.files import FILES
+from quasiform.scenes.scene_file import FOLDER
 
 SECONDS = 20.0  # of a case on the processor, and four times that on the clock
 HARD = 200.0  # of a case that does not come back from compiled code
@@ -523,7 +523,7 @@ def test_materials_are_read_or_refused(place, law):
     displacement=extreme(0.01, 30.0),
 )
 def test_extreme_materials_end_in_a_result(place, monkeypatch, shear, fibres, **more):
-    monkeypatch.setattr("quasiform.plot.save_pictures", lambda *_: None)
+    monkeypatch.setattr("quasiform.draw.plot.save_pictures", lambda *_: None)
     law = LOCKING | {"shear": shear, "warp": {"C_ini": fibres}, "weft": {"C_ini": fibres}}
     law["thickness"] = more["thickness"]
     folder = place()

@@ -5,11 +5,11 @@ import pytest
 import shapely
 from numpy.testing import assert_allclose, assert_array_equal
 
-from quasiform import outline as outlines
-from quasiform.blank import Blank, cut, rectangle, rotation
 from quasiform.checks import InputError
 from quasiform.energy.membrane import Membrane
-from quasiform.material import Fabric
+from quasiform.fabric import Fabric
+from quasiform.net import outline as outlines
+from quasiform.net.blank import Blank, cut, rectangle, rotation
 
 LENGTH, WIDTH = 320.0, 160.0
 

@@ -18,9 +18,11 @@ from numpy.testing import assert_allclose
 from scipy.spatial import ConvexHull
 
 import quasiform as qf
-from quasiform import cli, plot, scene_file
-from quasiform.cli import main
-from quasiform.progress import LiveProgress, progress
+from quasiform.console import cli
+from quasiform.console.cli import main
+from quasiform.console.progress import LiveProgress, progress
+from quasiform.draw import plot
+from quasiform.scenes import scene_file
 
 ROOT = Path(__file__).parents[1]
 OAT = ["oat", "--size", "40", "--displacement", "5"]

@@ -10,10 +10,11 @@ from types import SimpleNamespace
 import pytest
 
 import quasiform as qf
-from quasiform import cli, doctor, forecast, scene_file
-from quasiform.cli import main
-from quasiform.progress import _words
-from quasiform.result import package_version
+from quasiform.console import cli, doctor, forecast
+from quasiform.console.cli import main
+from quasiform.console.progress import _words
+from quasiform.result.run import package_version
+from quasiform.scenes import scene_file
 from quasiform.solve import linear
 from quasiform.solve.linear import SuperLU
 

@@ -11,14 +11,14 @@ import pytest
 import shapely
 
 import quasiform as qf
-from quasiform.blank import rotation
-from quasiform.cli import main
-from quasiform.compare import FILES, compare, picture
-from quasiform.compare.mapping import carried
-from quasiform.compare.place import unfolded
-from quasiform.compare.read import Reading, read_run
-from quasiform.compare.sheet import Sheet
-from quasiform.compare.table import read_table
+from quasiform.comparison import FILES, compare, picture
+from quasiform.comparison.mapping import carried
+from quasiform.comparison.place import unfolded
+from quasiform.comparison.read import Reading, read_run
+from quasiform.comparison.sheet import Sheet
+from quasiform.comparison.table import read_table
+from quasiform.console.cli import main
+from quasiform.net.blank import rotation
 
 HALF = 100.0  # mm
 

@@ -12,7 +12,6 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
-from quasiform.blank import rectangle, rotation
 from quasiform.energy import Potential, Selective
 from quasiform.energy.bending import Bending
 from quasiform.energy.contact import BLEND, FAR_OFF, LEVER, SAG, Contact, at_edges, at_nodes
@@ -22,8 +21,9 @@ from quasiform.energy.membrane import Membrane
 from quasiform.energy.paired_membrane import PairedMembrane
 from quasiform.energy.patch_bending import PatchBending
 from quasiform.energy.weight import GRAVITY, SheetWeight, ToolWeight
-from quasiform.material import Fabric, ThreeStageLaw
-from quasiform.tool import (
+from quasiform.fabric import Fabric, ThreeStageLaw
+from quasiform.net.blank import rectangle, rotation
+from quasiform.tools.shapes import (
     Placed,
     Plane,
     Tool,

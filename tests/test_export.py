@@ -14,15 +14,15 @@ import pytest
 
 import quasiform as qf
 from quasiform.checks import InputError
-from quasiform.cli import main
-from quasiform.export import FORMATS, abaqus_deck, carry, export, flat_pattern, part_of
-from quasiform.export.handover import FILES
-from quasiform.export.target import read_target
-from quasiform.export.tool_surface import from_scene_file, sampled
-from quasiform.files import FILES as RESULT_FILES
-from quasiform.material import TabulatedLaw
-from quasiform.scene_file import FOLDER, load
-from quasiform.tool import ball, round_opening, turned
+from quasiform.console.cli import main
+from quasiform.fabric import TabulatedLaw
+from quasiform.handover import FORMATS, abaqus_deck, carry, export, flat_pattern, part_of
+from quasiform.handover.handover import FILES
+from quasiform.handover.target import read_target
+from quasiform.handover.tool_surface import from_scene_file, sampled
+from quasiform.result.files import FILES as RESULT_FILES
+from quasiform.scenes.scene_file import FOLDER, load
+from quasiform.tools.shapes import ball, round_opening, turned
 
 FABRIC = {
     "name": "test",

@@ -11,25 +11,21 @@ import quasiform
 # Each line may import from the lines above it, and a folder from itself.
 FLOW = """
     checks
-    files material net cad_mesh
-    surface_file
-    blank tool
-    outline surface
-    free_mesh scene_file
-    tool_file
+    theory
+    fabric net
+    tools
+    scenes.scene_file
     energy
-    measure
-    scene
-    result
+    result.measures result.files
+    model
+    result.run
     solve
-    experiments forming theory
-    plot
-    identification compare progress study forecast completion doctor
-    saved
-    view pictures
-    export report
-    arguments
-    cli
+    scenes
+    draw.plot
+    comparison identification
+    result.saved
+    draw handover
+    console
     __main__
 """
 ROOMS = {room: level for level, line in enumerate(FLOW.split("\n")) for room in line.split()}

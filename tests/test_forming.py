@@ -12,15 +12,16 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial import ConvexHull
 
 import quasiform as qf
-from quasiform import outline, scene_file
-from quasiform.blank import rotation
 from quasiform.energy.bending import Bending
 from quasiform.energy.contact import LEVER
 from quasiform.energy.gripper import Grip
 from quasiform.energy.weight import GRAVITY, SheetWeight, ToolWeight
-from quasiform.measure import percentile
-from quasiform.scene_file import Gripper, SceneFile, Support, SurfaceFile, Where
-from quasiform.tool import (
+from quasiform.net import outline
+from quasiform.net.blank import rotation
+from quasiform.result.measures import percentile
+from quasiform.scenes import scene_file
+from quasiform.scenes.scene_file import Gripper, SceneFile, Support, SurfaceFile, Where
+from quasiform.tools.shapes import (
     Plane,
     ball,
     box_punch,

@@ -9,7 +9,7 @@ from quasiform.energy.bending import Bending
 from quasiform.energy.contact import BLEND, LEVER, Contact
 from quasiform.energy.membrane import Membrane
 from quasiform.energy.weight import ToolWeight
-from quasiform.tool import Plane, flipped
+from quasiform.tools.shapes import Plane, flipped
 from validation.friction_exact.case import LOAD, capstan, strip
 
 

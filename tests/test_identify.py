@@ -14,7 +14,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import quasiform as qf
 from quasiform.checks import InputError
-from quasiform.cli import main
+from quasiform.console.cli import main
 from quasiform.identification import picture
 from quasiform.identification.campaign import Campaign, ShearTest, load
 from quasiform.identification.energy_method import Forces, energy_method

@@ -8,14 +8,14 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.sparse import csr_array
 from scipy.sparse.linalg import splu
 
-from quasiform.blank import rectangle
 from quasiform.checks import InputError
 from quasiform.energy import Potential
 from quasiform.energy.contact import Contact
 from quasiform.energy.membrane import Membrane
-from quasiform.material import Fabric
+from quasiform.fabric import Fabric
+from quasiform.net.blank import rectangle
 from quasiform.solve.linear import SingularMatrixError, linear_solver, nested_dissection
-from quasiform.tool import Plane, Tool
+from quasiform.tools.shapes import Plane, Tool
 
 
 class System:

@@ -13,14 +13,7 @@ from scipy.integrate import quad
 
 import quasiform as qf
 from quasiform.checks import InputError
-from quasiform.material import (
-    PRESETS,
-    Fabric,
-    TabulatedLaw,
-    ThreeStageLaw,
-    invariants,
-    shear_angle,
-)
+from quasiform.fabric import PRESETS, Fabric, TabulatedLaw, ThreeStageLaw, invariants, shear_angle
 
 SHEAR = {name: Fabric.preset(name).shear for name in PRESETS}
 LINEAR = ThreeStageLaw(C_ini=1000.0)

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from quasiform import outline
-from quasiform.blank import cut, rectangle, rotation
 from quasiform.energy.membrane import Membrane
-from quasiform.material import Fabric
-from quasiform.measure import disc, edge_points, percentile, shear_gradient, shear_stability
+from quasiform.fabric import Fabric
+from quasiform.net import outline
+from quasiform.net.blank import cut, rectangle, rotation
+from quasiform.result.measures import disc, edge_points, percentile, shear_gradient, shear_stability
 
 OUTWARD = {"+x": (1.0, 0.0), "-x": (-1.0, 0.0), "+y": (0.0, 1.0), "-y": (0.0, -1.0)}
 L_SHAPE = outline.polygon([(-60, -40), (60, -40), (60, -10), (5, -10), (5, 40), (-60, 40)])

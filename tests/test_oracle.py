@@ -15,13 +15,13 @@ from skfem import (
     asm,
 )
 
-from quasiform.blank import rectangle
 from quasiform.energy import Potential
 from quasiform.energy.bending import Bending
 from quasiform.energy.contact import BLEND, Contact, at_edges, at_nodes
 from quasiform.energy.membrane import Membrane
-from quasiform.material import Fabric
-from quasiform.tool import Tool, ball
+from quasiform.fabric import Fabric
+from quasiform.net.blank import rectangle
+from quasiform.tools.shapes import Tool, ball
 
 BLANKS = {
     "aligned": rectangle(60.0, 40.0, 8.0),

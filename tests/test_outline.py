@@ -6,8 +6,8 @@ import pytest
 import shapely
 from numpy.testing import assert_allclose
 
-from quasiform import outline
 from quasiform.checks import InputError
+from quasiform.net import outline
 
 
 def same(shape, other, off=0.02):

@@ -11,11 +11,11 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 
 import quasiform as qf
-from quasiform import plot
-from quasiform.blank import rotation
-from quasiform.files import PICTURES
-from quasiform.plot import save_pictures
-from quasiform.scene_file import load
+from quasiform.draw import plot
+from quasiform.draw.plot import save_pictures
+from quasiform.net.blank import rotation
+from quasiform.result.files import PICTURES
+from quasiform.scenes.scene_file import load
 
 SCENES = {
     "formed": lambda: qf.forming(size=30, travel=10),

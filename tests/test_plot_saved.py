@@ -11,8 +11,10 @@ from numpy.testing import assert_allclose
 from PIL import Image
 
 import quasiform as qf
-from quasiform import cli, pictures, saved, view
-from quasiform.cli import main
+from quasiform.console import cli
+from quasiform.console.cli import main
+from quasiform.draw import pictures, view
+from quasiform.result import saved
 
 
 @pytest.fixture(scope="module")

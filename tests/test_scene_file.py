@@ -10,7 +10,7 @@ import shapely
 from numpy.testing import assert_allclose, assert_array_equal
 
 from quasiform.checks import InputError
-from quasiform.scene_file import (
+from quasiform.scenes.scene_file import (
     FOLDER,
     SHAPES,
     STANDINGS,
@@ -22,7 +22,7 @@ from quasiform.scene_file import (
     built_in,
     load,
 )
-from quasiform.tool import (
+from quasiform.tools.shapes import (
     Placed,
     Plane,
     ball,

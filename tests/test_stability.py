@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import quasiform as qf
-from quasiform.measure import waves
+from quasiform.result.measures import waves
 from quasiform.solve import increments
 from quasiform.solve.newton import Equilibrium, NotConvergedError
 from quasiform.solve.proximal import Bed, creep

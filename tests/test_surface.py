@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from quasiform import surface_file
 from quasiform.checks import InputError
-from quasiform.forming import forming
-from quasiform.surface import check_surface, from_file, placed_and_told, surface_grid
-from quasiform.surface_file import read_surface
+from quasiform.scenes.forming import forming
+from quasiform.tools import surface_file
+from quasiform.tools.grid import check_surface, from_file, placed_and_told, surface_grid
+from quasiform.tools.surface_file import read_surface
 
 pytest.importorskip("igl")
 

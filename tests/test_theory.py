@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from scipy.integrate import quad
 from scipy.special import ellipe, ellipeinc, ellipk, ellipkinc
 
-from quasiform.material import Fabric
+from quasiform.fabric import Fabric
 from quasiform.theory import (
     OffAxisTension,
     capstan_ratio,

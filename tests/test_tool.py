@@ -9,9 +9,9 @@ from numpy.testing import assert_allclose
 from scipy.spatial import ConvexHull, cKDTree
 from scipy.spatial.transform import Rotation
 
-from quasiform import scene_file
 from quasiform.checks import InputError
-from quasiform.tool import (
+from quasiform.scenes import scene_file
+from quasiform.tools.shapes import (
     FAR,
     Opening,
     Placed,

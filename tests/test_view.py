@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import quasiform as qf
-from quasiform import view
-from quasiform.plot import SCALES
+from quasiform.draw import view
+from quasiform.draw.plot import SCALES
 from tests.chromium import opened, program
 
 pytest.importorskip("plotly")

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 from validation.run import OUTCOME, Outcome
 
 if TYPE_CHECKING:
-    from quasiform.result import Result
+    from quasiform.result.run import Result
 
 DPI = 144
 
@@ -67,8 +67,8 @@ def _number(value: float) -> float | str:
 
 def _sheet(result: Result, folder: Path, name: str) -> tuple[str, str | None, str]:
     """Words about a sheet, its interactive view (None without plotly) and its picture."""
-    from quasiform import view
-    from quasiform.plot import save_pictures
+    from quasiform.draw import view
+    from quasiform.draw.plot import save_pictures
 
     with TemporaryDirectory(dir=folder) as pictures:
         save_pictures(result, pictures)

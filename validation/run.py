@@ -30,7 +30,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from quasiform.checks import InputError, suggestion
-from quasiform.files import check_folder
+from quasiform.result.files import check_folder
 
 from .bands import Case, Reference, Row, read
 from .report_text import verdict
@@ -38,7 +38,7 @@ from .report_text import verdict
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from quasiform.result import Result
+    from quasiform.result.run import Result
 
 FOLDER = Path(__file__).parent
 OUTCOME = "outcome.json"

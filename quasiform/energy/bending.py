@@ -21,8 +21,8 @@ from __future__ import annotations
 import numpy as np
 from skfem import Basis, ElementLineP1
 
-from ..blank import Blank
-from ..material import Fabric
+from ..fabric import Fabric
+from ..net.blank import Blank
 
 FloatArray = np.ndarray
 IntArray = np.ndarray

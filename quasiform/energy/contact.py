@@ -32,9 +32,9 @@ import numpy as np
 import shapely
 from scipy.sparse import csr_array
 
-from ..blank import Blank
-from ..material import Fabric
-from ..tool import Distance, Tool
+from ..fabric import Fabric
+from ..net.blank import Blank
+from ..tools.shapes import Distance, Tool
 
 FloatArray = np.ndarray
 IntArray = np.ndarray

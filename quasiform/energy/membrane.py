@@ -18,8 +18,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..blank import Blank
-from ..material import Fabric, shear_angle
+from ..fabric import Fabric, shear_angle
+from ..net.blank import Blank
 
 FloatArray = np.ndarray
 

@@ -14,8 +14,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..blank import Blank
-from ..material import Fabric
+from ..fabric import Fabric
+from ..net.blank import Blank
 from .membrane import (
     Membrane,
     along_fibres,

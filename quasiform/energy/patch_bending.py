@@ -14,8 +14,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse import csr_array
 
-from ..blank import Blank
-from ..material import Fabric
+from ..fabric import Fabric
+from ..net.blank import Blank
 from .bending import Bending
 
 FloatArray = np.ndarray

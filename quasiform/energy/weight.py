@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..blank import Blank
+from ..net.blank import Blank
 
 FloatArray = np.ndarray
 GRAVITY = 9.81e-3  # N/g

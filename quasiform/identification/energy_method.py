@@ -24,7 +24,7 @@ from scipy.interpolate import BSpline
 from scipy.optimize import nnls
 
 from ..checks import InputError
-from ..material import TabulatedLaw
+from ..fabric import TabulatedLaw
 
 FloatArray = np.ndarray
 SAFETY = 1.4  # of the degrees of freedom in the cross-validation

@@ -19,7 +19,7 @@ from scipy.optimize import OptimizeResult, least_squares, minimize
 from scipy.special import stdtrit
 
 from ..checks import InputError, check_keys, check_number
-from ..material import ThreeStageLaw
+from ..fabric import ThreeStageLaw
 from .energy_method import Forces, StressCurve
 
 FloatArray = np.ndarray

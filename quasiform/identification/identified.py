@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from ..checks import InputError
-from ..files import replaced
-from ..material import Fabric
-from ..result import package_version
+from ..fabric import Fabric
+from ..result.files import replaced
+from ..result.run import package_version
 from .campaign import ASSUMED, METHODS, VALUES, Campaign, load
 from .energy_method import StressCurve, energy_method
 from .fit import Fit, Parameter, fit

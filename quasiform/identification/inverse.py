@@ -23,8 +23,8 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from ..checks import InputError
-from ..experiments import off_axis_tension
-from ..material import Fabric, ThreeStageLaw
+from ..fabric import Fabric, ThreeStageLaw
+from ..scenes.fabric_tests import off_axis_tension
 from ..solve.newton import Equilibrium, NotConvergedError
 from .energy_method import Forces
 from .fit import LOCKING, NAMES, Fit, Unknowns, choose, misfit_of, report, search

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..material import Fabric
-from ..plot import DPI, FIRST, SECOND, STYLE, WIDTH
+from ..draw.plot import DPI, FIRST, SECOND, STYLE, WIDTH
+from ..fabric import Fabric
 from .specimen import OffAxis
 
 if TYPE_CHECKING:

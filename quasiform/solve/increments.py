@@ -21,8 +21,8 @@ import numpy as np
 
 from ..checks import InputError, check_number
 from ..energy.friction import Friction
-from ..result import Result, State
-from ..scene import Scene
+from ..model import Scene
+from ..result.run import Result, State
 from .journal import Journal
 from .newton import Equilibrium, NotConvergedError
 from .proximal import creep

@@ -23,8 +23,8 @@ from zipfile import BadZipFile
 import numpy as np
 
 from ..checks import InputError
-from ..files import FILES, RESUME, added, check_folder
-from ..result import Result, State
+from ..result.files import FILES, RESUME, added, check_folder
+from ..result.run import Result, State
 
 if TYPE_CHECKING:
     from .increments import Run

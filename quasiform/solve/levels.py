@@ -27,8 +27,8 @@ from scipy.interpolate import (
 
 from ..checks import InputError, check_number
 from ..energy.contact import Contact
-from ..result import Result, State
-from ..scene import Scene
+from ..model import Scene
+from ..result.run import Result, State
 from .increments import ESTIMATING, Callback, Run, Settings, follow, tell
 from .journal import Journal
 from .newton import Equilibrium, NotConvergedError

@@ -28,7 +28,7 @@ import numpy as np
 from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigsh
 
 from ..energy import Potential, Term
-from ..scene import Scene
+from ..model import Scene
 from .linear import LinearSolver, SingularMatrixError, linear_solver
 
 FloatArray = np.ndarray

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ..checks import check_number
-from ..result import Result
+from ..result.run import Result
 from .increments import Settings, follow
 
 AMPLITUDE = 0.01  # mm

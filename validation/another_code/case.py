@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import quasiform as qf
-from quasiform.compare import compare
+from quasiform.comparison import compare
 from validation.peers.calculix_hemisphere import SIZES, scene
 
 FOLDER = Path(__file__).parent

@@ -16,7 +16,7 @@ import meshio
 import numpy as np
 
 import quasiform as qf
-from quasiform.compare.sheet import sheared
+from quasiform.comparison.sheet import sheared
 from validation.peers import calculix_hemisphere as peer
 
 FOLDER = Path(__file__).parent

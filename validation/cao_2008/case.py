@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 import quasiform as qf
 from quasiform import theory
-from quasiform.plot import FIRST, SECOND, STYLE, WIDTH
+from quasiform.draw.plot import FIRST, SECOND, STYLE, WIDTH
 from validation.run import Outcome
 
 FOLDER = Path(__file__).parent

@@ -14,10 +14,10 @@ from scipy.interpolate import CubicSpline, RegularGridInterpolator
 
 import quasiform as qf
 from quasiform import theory
+from quasiform.draw.plot import STYLE, WIDTH
 from quasiform.energy.bending import Bending
 from quasiform.energy.membrane import Membrane
-from quasiform.plot import STYLE, WIDTH
-from quasiform.tool import Placed, Shape, ball
+from quasiform.tools.shapes import Placed, Shape, ball
 from validation.run import Outcome
 
 SIZES = (8.0, 4.0, 2.0)

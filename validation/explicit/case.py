@@ -4,7 +4,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import quasiform as qf
-from quasiform.compare import compare
+from quasiform.comparison import compare
 from validation.explicit.integration import Motion, integrate
 
 MOTION = Motion()

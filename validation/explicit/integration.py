@@ -26,7 +26,7 @@ from scipy.sparse.linalg import eigsh
 from quasiform.energy import Potential
 from quasiform.energy.friction import Friction
 from quasiform.energy.weight import ToolWeight
-from quasiform.scene import Scene
+from quasiform.model import Scene
 
 FloatArray = np.ndarray
 STABLE = 0.7  # of the longest stable step of the flat sheet

@@ -9,7 +9,7 @@ from quasiform.energy.contact import Contact
 from quasiform.energy.friction import Friction
 from quasiform.energy.membrane import Membrane
 from quasiform.energy.weight import GRAVITY, ToolWeight
-from quasiform.tool import Plane, bar, flipped
+from quasiform.tools.shapes import Plane, bar, flipped
 
 LOAD, RADIUS, LEAD, WIDTH = 20.0, 50.0, 25.0, 10.0  # N, mm
 

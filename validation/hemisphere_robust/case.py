@@ -6,7 +6,7 @@ The slowest case of the suite: the whole sheet with its fibres at 45 degrees for
 import numpy as np
 
 import quasiform as qf
-from quasiform.measure import percentile
+from quasiform.result.measures import percentile
 
 
 def values() -> dict[str, float]:

@@ -7,9 +7,9 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 import quasiform as qf
+from quasiform.draw.plot import FIRST, STYLE, WIDTH
 from quasiform.energy.bending import Bending
 from quasiform.energy.membrane import Membrane
-from quasiform.plot import FIRST, STYLE, WIDTH
 from validation.run import Outcome
 
 B0 = 119.2  # N mm, measured to a curvature of 2.39 1/m

@@ -4,7 +4,7 @@ import numpy as np
 
 import quasiform as qf
 from quasiform import theory
-from quasiform.experiments import off_axis_zones
+from quasiform.scenes.fabric_tests import off_axis_zones
 
 
 def values() -> dict[str, float]:

@@ -7,7 +7,7 @@ from skfem import Basis, ElementTriP1, ElementVector, LinearForm
 import quasiform as qf
 from quasiform.energy.bending import Bending
 from quasiform.energy.paired_membrane import membrane_of
-from quasiform.free_mesh import triangulate
+from quasiform.net.free_mesh import triangulate
 
 LENGTH, WIDTH = 100.0, 80.0
 SIZES = (10.0, 5.0, 2.5)

@@ -283,7 +283,7 @@ def scene(size: float):
     from quasiform.energy.contact import Contact
     from quasiform.energy.friction import Friction
     from quasiform.energy.membrane import Membrane
-    from quasiform.tool import ball
+    from quasiform.tools.shapes import ball
 
     blank = qf.rectangle(SIDE, SIDE, size, through=((0.0, 0.0),))
     fabric = qf.Fabric(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quasiform.plot import DPI, FIRST, SECOND, STYLE, WIDTH
+from quasiform.draw.plot import DPI, FIRST, SECOND, STYLE, WIDTH
 
 from .rows import REFERENCE, Row, pareto
 from .runs import PROBLEMS, STRATEGIES

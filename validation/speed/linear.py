@@ -18,7 +18,7 @@ from scipy.sparse import csr_array, diags_array
 from scipy.sparse.linalg import cg
 
 import quasiform as qf
-from quasiform.scene import Scene
+from quasiform.model import Scene
 from quasiform.solve.newton import Equilibrium, rigid_motions
 
 FloatArray = np.ndarray

@@ -15,11 +15,11 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 import quasiform as qf
-from quasiform import scene_file
 from quasiform.energy.bending import Bending
 from quasiform.energy.contact import Contact, at_edges
 from quasiform.energy.friction import Friction
 from quasiform.energy.membrane import Membrane
+from quasiform.scenes import scene_file
 
 from .rows import markdown
 

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 import quasiform as qf
-from quasiform import scene_file
-from quasiform.result import package_version
+from quasiform.result.run import package_version
+from quasiform.scenes import scene_file
 from quasiform.solve.newton import Equilibrium
 
 from .rows import REFERENCE, Row

@@ -14,13 +14,14 @@ import numpy as np
 from scipy.interpolate import LinearNDInterpolator
 
 import quasiform as qf
-from quasiform import scene_file, theory
+from quasiform import theory
 from quasiform.energy.bending import Bending
 from quasiform.energy.contact import Contact, at_edges
 from quasiform.energy.friction import Friction
 from quasiform.energy.membrane import Membrane
 from quasiform.energy.weight import GRAVITY, ToolWeight
-from quasiform.tool import Plane, bar, flipped
+from quasiform.scenes import scene_file
+from quasiform.tools.shapes import Plane, bar, flipped
 
 from ..friction_exact.case import EndLoad
 

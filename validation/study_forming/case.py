@@ -12,11 +12,11 @@ from matplotlib.figure import Figure
 from scipy.interpolate import LinearNDInterpolator
 
 import quasiform as qf
-from quasiform import scene_file
+from quasiform.draw.plot import COLOURS, FIRST, SECOND, STYLE, WIDTH
 from quasiform.energy.bending import Bending
-from quasiform.measure import disc, percentile
-from quasiform.plot import COLOURS, FIRST, SECOND, STYLE, WIDTH
-from quasiform.tool import flipped, round_opening, round_punch
+from quasiform.result.measures import disc, percentile
+from quasiform.scenes import scene_file
+from quasiform.tools.shapes import flipped, round_opening, round_punch
 from validation.run import Outcome
 
 SHAPES, ORIENTATIONS = ("hemisphere", "tetrahedron", "box"), (0, 45)

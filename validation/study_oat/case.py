@@ -9,11 +9,11 @@ from matplotlib.figure import Figure
 
 import quasiform as qf
 from quasiform import theory
-from quasiform.experiments import off_axis_zones
+from quasiform.draw.plot import COLOURS, FIRST, SECOND, STYLE, WIDTH
 from quasiform.identification.campaign import Campaign, ShearTest
 from quasiform.identification.records import Curve
 from quasiform.identification.specimen import OffAxis
-from quasiform.plot import COLOURS, FIRST, SECOND, STYLE, WIDTH
+from quasiform.scenes.fabric_tests import off_axis_zones
 from validation.run import Outcome
 
 LENGTH, STRIP, U_MAX = 320.0, 160.0, 80.0

@@ -3,7 +3,7 @@
 import numpy as np
 
 import quasiform as qf
-from quasiform.measure import percentile
+from quasiform.result.measures import percentile
 
 
 def values() -> dict[str, float]:

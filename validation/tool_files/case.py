@@ -7,9 +7,10 @@ import gmsh
 import numpy as np
 
 import quasiform as qf
-from quasiform import scene_file, surface
-from quasiform.measure import percentile
-from quasiform.tool import Rounded
+from quasiform.result.measures import percentile
+from quasiform.scenes import scene_file
+from quasiform.tools import grid as surface
+from quasiform.tools.shapes import Rounded
 
 LOW, HIGH = np.array([-160.0, -160.0, -10.0]), np.array([160.0, 160.0, 90.0])
 

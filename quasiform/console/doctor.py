@@ -1,0 +1,84 @@
+"""What this installation has: versions, linear solvers, threads, optional parts; a line each."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shutil
+from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from ..result.run import package_version
+from ..solve.linear import linear_solver
+
+PACKAGES = ("numpy", "scipy", "scikit-fem", "pyamg", "meshio", "shapely", "matplotlib", "rich")
+SOLVERS = {
+    "pardiso": "the fastest",
+    "superlu": "scipy's",
+    "amg": "by name only; convex matrices, no certificate",
+}
+EXTRAS = {"pardiso": "pip install 'quasiform[fast]'"}  # where the fault does not say so
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+PARTS = {  # name: (module, what for, extra)
+    "libigl": ("igl", "tools from surface files", "surface"),
+    "gmsh": ("gmsh", "tools and blanks from CAD files", "cad"),
+    "ezdxf": ("ezdxf", "outlines from DXF files", "cad"),
+    "plotly": ("plotly", "3D views in a browser", "report"),
+}
+PROGRAMS = {"ffmpeg": "mp4 animations (gif needs nothing)", "ccx": "tests of CalculiX decks only"}
+
+
+def examine() -> list[tuple[str, str]]:
+    """Look at this installation.
+
+    Returns
+    -------
+    list of (name, state)
+        Nothing raises: what is missing or broken is a state too.
+    """
+    found = [
+        ("quasiform", package_version()),
+        ("python", f"{platform.python_version()} on {platform.system()} {platform.machine()}"),
+        *((name, _version(name)) for name in PACKAGES),
+    ]
+    chosen = ""
+    for name, words in SOLVERS.items():
+        fault = _fault(name)
+        state = f"missing or broken: {words}; {fault}" if fault else f"works: {words}"
+        if fault and name in EXTRAS and "pip install" not in fault:
+            state += f"; {EXTRAS[name]}"
+        if not fault and not chosen:
+            chosen, state = name, f"works, is used: {words}"
+        found.append((f"linear solver {name}", state))
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    found.append(("processors", str(cores)))
+    found += [(name, os.environ.get(name, "not set: as many as there are")) for name in THREADS]
+    for name, (module, words, extra) in PARTS.items():
+        missing = f"missing: {words}; pip install 'quasiform[{extra}]'"
+        found.append((name, f"{_version(name)}: {words}" if find_spec(module) else missing))
+    for name, words in PROGRAMS.items():
+        found.append((name, f"{'found' if shutil.which(name) else 'missing'}: {words}"))
+    return found
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "missing"
+
+
+def _fault(name: str) -> str:
+    """What goes wrong when a linear solver solves a small system; empty if nothing does."""
+    diagonal = np.array([2.0, 3.0, 4.0])
+    pattern = csr_array(np.eye(3))
+    try:
+        solver = linear_solver(name, pattern, np.eye(3)[:, :2], np.ones((3, 1)))
+        solver.factor(diagonal)
+        right = np.allclose(diagonal * solver.solve(np.ones(3)), 1.0)
+    except Exception as error:  # whatever a foreign library raises
+        return " ".join(str(error).split()) or type(error).__name__
+    return "" if right else "its solution is wrong"

@@ -1,0 +1,140 @@
+"""About how long a run will take, told before it is started.
+
+One Newton step of the scene is timed here and now, on each mesh that will be solved; how many
+there will be is what runs of the built-in scenes took. That count is the rough part: a sheet that
+buckles takes many times as many as one that does not, and nobody knows before.
+"""
+
+from __future__ import annotations
+
+import time
+from contextlib import suppress
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..checks import InputError
+from ..model import Scene
+from ..solve.linear import SingularMatrixError
+from ..solve.newton import Equilibrium, NotConvergedError
+
+# linear solves for each largest increment of the travel, geometric means of runs at sizes of 10 to
+# 20 mm: 10 of hemisphere, tetrahedron and box (19 to 364), 3 of off-axis tension (6 to 17)
+WITH_TOOLS, IN_PLANE = 63.0, 9.0
+CARRIED = 43.0  # for the end on a finer mesh (40 and 46)
+COST = 1.37  # time of a linear solve in a run, with line searches, by that of the step timed here
+LEAST, MOST = 0.3, 6.0  # of the expected time: between them lay those 13 runs
+TIMED, LONG = 3, 2.0  # steps that are timed, unless the first takes so many seconds
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """A mesh that will be solved: its size, mm, unknowns, linear solves, and s for each."""
+
+    size: float
+    dofs: int
+    solves: float
+    seconds: float
+
+
+def meshes(
+    scene: Scene, one_mesh: bool, linear: str = "auto", seeds: int = 0
+) -> tuple[Mesh, ...] | None:
+    """Meshes that a run will solve, with what each is expected to take.
+
+    Parameters
+    ----------
+    scene : Scene
+    one_mesh : bool
+        The whole path on the scene's mesh, as `solve`, or its end only, as `refine`.
+    linear : str
+        Linear solver.
+    seeds : int
+        Perturbed runs of the path after it.
+
+    Returns
+    -------
+    tuple of Mesh, or None
+        None where the scene has no tangent at its start, so that nothing can be timed.
+    """
+    path = (WITH_TOOLS if scene.contacts else IN_PLANE) * max(scene.travel / scene.increment, 1.0)
+    scenes = _coarser(scene, one_mesh)
+    if one_mesh:  # the path on all, the coarser ones for the error estimate
+        solves = [path] * len(scenes)
+    else:
+        solves = [CARRIED] * (len(scenes) - 1) + [path]
+        if len(scenes) == 1 and (coarse := _resized(scene, 2 * scene.size)):
+            scenes, solves = [scene, coarse], [path, path]
+    followed = 0 if solves[0] == path else -1
+    solves[followed] += seeds * path
+    try:
+        return tuple(
+            Mesh(one.size, int((~one.fixed).sum()), count, COST * _step(one, linear))
+            for one, count in zip(scenes, solves, strict=True)
+        )
+    except (NotConvergedError, SingularMatrixError):
+        return None
+
+
+def _coarser(scene: Scene, one_mesh: bool) -> list[Scene]:
+    """Return the scene and those on coarser meshes that are solved with it."""
+    scenes = [scene]
+    while len(scenes) < 3 or not one_mesh:
+        size = 2 * scenes[-1].size
+        needed = one_mesh and len(scenes) == 1  # else no estimate
+        if size > scene.coarsest * (1 + 1e-9) and not needed:
+            break
+        if not (coarse := _resized(scene, size)):
+            break
+        scenes.append(coarse)
+    return scenes
+
+
+def _resized(scene: Scene, size: float) -> Scene | None:
+    """Return the scene at another size; None where that is too coarse for the blank."""
+    with suppress(InputError):
+        return scene.resized(size) if scene.resized else None
+    return None
+
+
+def words(found: tuple[Mesh, ...] | None) -> str:
+    """Return the expected time in words."""
+    if found is None:
+        return "not known: the scene has no tangent at its start"
+    seconds = sum(mesh.solves * mesh.seconds for mesh in found)
+    sizes = " and ".join(f"{mesh.size:g}" for mesh in found)
+    return (
+        f"about {duration(seconds)} on this machine as busy as it is now "
+        f"({duration(LEAST * seconds)} to {duration(MOST * seconds)}; buckling takes longest), "
+        f"meshes of {sizes} mm"
+    )
+
+
+def duration(seconds: float) -> str:
+    """Return a time in words, no sharper than it is known.
+
+    Examples
+    --------
+    >>> [duration(s) for s in (0.03, 4.4, 57, 312, 9000)]
+    ['less than 1 s', '4 s', '60 s', '5 min', '2.5 h']
+    """
+    if seconds < 1:
+        return "less than 1 s"
+    if seconds < 90:
+        return f"{round(seconds) if seconds < 10 else 10 * round(seconds / 10)} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+
+
+def _step(scene: Scene, linear: str) -> float:
+    """Time of one Newton step at the start of a scene, s."""
+    equilibrium, free = Equilibrium(scene, linear), ~scene.fixed
+    taken: list[float] = []
+    while len(taken) < TIMED and sum(taken) < LONG:
+        x = scene.x0 + 1e-9 * len(taken) * free  # another state, or the last factor would serve
+        clock = time.perf_counter()
+        equilibrium.factor(x, True)
+        equilibrium.solver.solve(equilibrium.potential.gradient(x)[free])
+        for term in scene.terms:
+            term.energy(x)
+        taken.append(time.perf_counter() - clock)
+    return float(np.median(taken))

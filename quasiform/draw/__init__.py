@@ -1,0 +1,1 @@
+"""Pictures of results, and a view to turn in the browser."""

@@ -1,0 +1,135 @@
+"""One call from a result to the files of a structural code, and what they do not hold."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..checks import InputError, suggestion
+from ..result.files import replaced
+from ..result.run import Result, package_version
+from . import drape, inp, table
+from .fibres import NOT_MODELLED, Fibres, carry
+from .part import part_of
+from .target import read_target
+
+FORMATS: dict[str, str] = {
+    "abaqus": "S3 in two layers, orientations and thickness by *DISTRIBUTION",
+    "abaqus-pair": "the same with M3D3 on the same nodes",
+    "calculix": "S3, one *ORIENTATION an element along --axis",
+    "radioss": "/DRAPE tables of warp and weft plies",
+    "optistruct": "DRAPE tables of warp and weft plies",
+    "csv": "a row an element: thickness and THETA as in Nastran, areal weight, directions",
+    "vtu": "all fields by cell",
+}
+NOTES = "handover.txt"
+GENERAL = {*NOT_MODELLED, *inp.GENERAL, *drape.GENERAL, *table.GENERAL}
+FILES = (*inp.FILES, "drape_0000.rad", "drape.fem", "fibres.csv", "fibres.vtu", NOTES)
+
+
+@dataclass(frozen=True, eq=False)
+class Handover:
+    """What was written.
+
+    Parameters
+    ----------
+    folder : path
+    files : tuple of str
+        Names in it.
+    notices : tuple of str
+        What they do not hold, and what was assumed.
+    fibres : Fibres
+        Directions, thickness and areal weight by element.
+    general : tuple of str
+        Those of the notices that are true of every hand-over in this format.
+    """
+
+    folder: Path
+    files: tuple[str, ...]
+    notices: tuple[str, ...]
+    fibres: Fibres
+    general: tuple[str, ...] = ()
+
+
+def export(
+    source: Result | str | Path,
+    to: str,
+    out: str | Path,
+    *,
+    mesh: str | Path | None = None,
+    scale: float = 1.0,
+    within: float | None = None,
+    axis: str = "warp",
+    reference: Sequence[float] = (1.0, 0.0, 0.0),
+    force: bool = False,
+) -> Handover:
+    """Write fibre directions, thickness and areal weight by element for another code.
+
+    Parameters
+    ----------
+    source : Result or path
+        A result, or the folder of one.
+    to : str
+        One of `FORMATS`: abaqus, abaqus-pair, calculix, radioss, optistruct, csv, vtu.
+    out : path
+        Folder for the files; made if missing.
+    mesh : path, optional
+        Structural mesh in the place of the formed part, .inp or what meshio reads; the formed mesh
+        itself if not given.
+    scale : float
+        mm per unit of that mesh.
+    within : float, optional
+        mm; elements farther than this from the sheet get no fibres. The spacing of the formed mesh
+        if not given.
+    axis : "warp", "weft" or "bisector"
+        What CalculiX' local 1 is.
+    reference : (3,) floats
+        Direction from which the angles of DRAPE tables run, in any unit of length.
+    force : bool
+        Whether to replace files of an earlier hand-over.
+
+    Returns
+    -------
+    Handover
+
+    Raises
+    ------
+    InputError
+        For an unknown format, files that cannot be read or written, a mesh away from the part.
+    """
+    if to not in FORMATS:
+        raise InputError(f"unknown format '{to}': {suggestion(to, FORMATS)}")
+    direction = _direction(reference)
+    part = part_of(source)
+    target = None if mesh is None else read_target(mesh, scale)
+    fibres = carry(part, target, within)
+    writers: dict[str, Callable[[Path], tuple[str, ...]]] = {
+        "abaqus": lambda folder: inp.abaqus(fibres, folder),
+        "abaqus-pair": lambda folder: inp.abaqus(fibres, folder, pair=True),
+        "calculix": lambda folder: inp.calculix(fibres, folder, axis),
+        "radioss": lambda folder: drape.radioss(fibres, folder, direction),
+        "optistruct": lambda folder: drape.optistruct(fibres, folder, direction),
+        "csv": lambda folder: table.table(fibres, folder),
+        "vtu": lambda folder: table.mesh(fibres, folder),
+    }
+    with replaced(out, force=force, names=FILES) as folder:
+        notices = (*fibres.notices, *writers[to](folder))
+        told = [f"Hand-over of {part.name} ({to}), quasiform {package_version()}", ""]
+        told += [f"- {notice}" for notice in notices]
+        general = tuple(notice for notice in notices if notice in GENERAL)
+        (folder / NOTES).write_text("\n".join([*told, ""]), encoding="utf-8")
+        files = tuple(sorted(path.name for path in folder.iterdir()))
+    return Handover(Path(out), files, notices, fibres, general)
+
+
+def _direction(reference: Sequence[float]) -> np.ndarray:
+    try:
+        vector = np.asarray(reference, dtype=float)
+    except (TypeError, ValueError):
+        vector = np.zeros(0)
+    if vector.shape != (3,) or not np.isfinite(vector).all() or not np.linalg.norm(vector) > 0:
+        raise InputError(f"reference must be a direction of three numbers, got {reference!r}")
+    return vector / np.linalg.norm(vector)

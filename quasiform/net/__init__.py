@@ -1,0 +1,1 @@
+"""The flat sheet: outline, net of fibre lines, mesh."""

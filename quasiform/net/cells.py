@@ -1,0 +1,344 @@
+"""Cut the net of fibre lines by an outline with holes.
+
+1. The outline is divided where it crosses a line. What comes nearer than a given part of the
+   spacing to a line or a node of the net is moved there. It is always the outline that gives way,
+   so legs stay on fibres exactly, and no sliver is left beside a line.
+2. In each cell only the crossings are kept, and corners that stand off their chord by more.
+3. In each cell that the outline crosses, it bounds faces together with the rim of the cell; they
+   are found by walking along edges with the face on the left. They are fanned from a point of the
+   outline, so that at least one of their right corners keeps its triangle; a fan with too sharp an
+   angle gives way to the triangulation with the largest smallest angle.
+"""
+
+from __future__ import annotations
+
+import itertools
+from functools import cache
+from math import atan2, pi
+
+import numpy as np
+import shapely
+
+from ..checks import InputError
+
+FloatArray = np.ndarray
+IntArray = np.ndarray
+
+
+def cut_net(
+    lines: list[FloatArray], rings: list[FloatArray], near: float, sharp: float, first: FloatArray
+) -> tuple[FloatArray, IntArray]:
+    """Cut the net of two families of lines by rings; nodes and triangles (fibre coordinates).
+
+    Parameters
+    ----------
+    lines : two arrays
+        Coordinates a and b of the lines.
+    rings : list of (n, 2) arrays
+        The outline, counter-clockwise, then holes, clockwise.
+    near : float
+        How far the outline may move to meet the net.
+    sharp : float
+        Fans with smaller angles, radians, give way to other triangles.
+    first : (2,) array
+        Diagonals run through the net's node here, unless the outline itself runs along diagonals.
+    """
+    # lines on either side of all, for what stands over
+    lines = [
+        np.r_[min(line[0], r.min()) - 10 * near, line, max(line[-1], r.max()) + 10 * near]
+        for line, r in zip(lines, np.vstack(rings).T, strict=True)
+    ]
+    a, b = lines
+    points, codes, loops = _fitted(rings, lines, near)
+    kept = shapely.Polygon(rings[0], [rings[k] for k in loops if k > 0])
+
+    # segments of the outline that cross a cell, and nodes of it between those of the net
+    path = np.vstack([np.stack([loop, np.roll(loop, -1)], axis=1) for loop in loops.values()])
+    start, end = codes[path[:, 0]], codes[path[:, 1]]
+    place = np.where(start % 2 == 1, start, np.where(end % 2 == 1, end, (start + end) // 2))
+    crossing = (place % 2 == 1).all(1)
+    chains: dict[tuple[int, int], list[tuple[int, int]]] = {}
+    for segment, cell in zip(path[crossing].tolist(), place[crossing] // 2, strict=True):
+        chains.setdefault(tuple(cell.tolist()), []).append(tuple(segment))
+    on_legs: dict[tuple[int, int], list[int]] = {}
+    n_net = len(a) * len(b)
+    between = path[(path[:, 0] >= n_net) & ((start % 2).sum(1) == 1), 0]
+    for point, (A, B) in zip(between.tolist(), codes[between].tolist(), strict=True):
+        on_legs.setdefault((A, B), []).append(point)
+        for cell in ((A // 2, B // 2), ((A - 1) // 2, (B - 1) // 2)):
+            chains.setdefault(cell, [])
+
+    centres = [0.5 * (line[1:] + line[:-1]) for line in lines]
+    shapely.prepare(kept)
+    whole = shapely.contains_xy(kept, *np.meshgrid(*centres, indexing="ij"))
+    faces = []
+    for (i, j), segments in chains.items():
+        if segments or whole[i, j]:
+            faces += _faces(_cell_rim(i, j, len(b), on_legs, points), segments, points)
+        whole[i, j] = False
+
+    # alternating diagonals: those ending on nodes of the parity of an outline that runs along them
+    steps = np.abs(np.diff(codes[path], axis=1))[:, 0]
+    votes = codes[path[(steps == 2).all(1), 0]].sum(1) // 2 % 2
+    parity = sum(int(np.abs(line - c).argmin()) for line, c in zip(lines, first, strict=True))
+    parity = votes.mean() > 0.5 if len(votes) > 0.25 * crossing.sum() else parity % 2
+    I, J = np.nonzero(whole)
+    ring = np.stack([I * len(b) + J, (I + 1) * len(b) + J], axis=1)
+    ring = np.hstack([ring, ring[:, ::-1] + 1])
+    even = ((I + J) % 2 == parity)[:, None, None]
+    triangles = np.where(even, ring[:, [[0, 1, 2], [2, 3, 0]]], ring[:, [[3, 0, 1], [1, 2, 3]]])
+    triangles = np.vstack([triangles.reshape(-1, 3), _triangulated(faces, points, sharp)])
+    used, triangles = np.unique(triangles, return_inverse=True)
+    return points[used], triangles.reshape(-1, 3)
+
+
+def _fitted(
+    rings: list[FloatArray], lines: list[FloatArray], near: float
+) -> tuple[FloatArray, IntArray, dict[int, IntArray]]:
+    """Fit rings to the net of lines: what comes within `near` of a line or node moves there.
+
+    Returns
+    -------
+    points : (n, 2) array
+        Nodes of the net, line by line, then the further points of the outline.
+    codes : (n, 2) int array
+        Where they lie: 2 i on line i, 2 i + 1 between the lines i and i + 1.
+    loops : dict of int arrays
+        The fitted rings by number, as points; holes that vanish are left out.
+    """
+    index = np.meshgrid(*(np.arange(len(line)) for line in lines), indexing="ij")
+    points = [np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 2)]
+    codes = [2 * np.stack(index, axis=-1).reshape(-1, 2)]
+    count, loops = len(points[0]), {}
+    for k, ring in enumerate(rings):
+        code, snapped, original = _divided(ring, lines, near)
+        keep = _needed(code, snapped, original, near)
+        code, snapped = code[keep], snapped[keep]
+        on_node = (code % 2 == 0).all(1)
+        number = np.where(on_node, code @ [len(lines[1]), 1] // 2, count + np.cumsum(~on_node) - 1)
+        loop = _without_spikes(number.tolist())
+        if len(loop) < 3:
+            extent = np.ptp(ring, axis=0)
+            if k == 0 or extent.max() > 2 * near:
+                what = f"hole {k}" if k else "outline"
+                raise InputError(
+                    f"the {what}, {extent.max():.3g} mm long, is too narrow for the spacing of the "
+                    "fibre lines: choose a smaller size" + (" or fill the hole" if k else "")
+                )
+            continue
+        loops[k] = np.array(loop)
+        points.append(snapped[~on_node])
+        codes.append(code[~on_node])
+        count += len(points[-1])
+    return np.vstack(points), np.vstack(codes), loops
+
+
+def _divided(
+    ring: FloatArray, lines: list[FloatArray], near: float
+) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Vertices of a ring and its crossings with the lines: codes, places moved and original."""
+    step = np.roll(ring, -1, axis=0) - ring
+    edges, shares, originals = [np.arange(len(ring))], [np.zeros(len(ring))], [ring]
+    for axis, line in enumerate(lines):
+        ends = ring[:, axis], ring[:, axis] + step[:, axis]
+        low = np.searchsorted(line, np.minimum(*ends), side="right")
+        count = np.maximum(np.searchsorted(line, np.maximum(*ends), side="left") - low, 0)
+        edge = np.repeat(np.arange(len(ring)), count)
+        crossed = line[np.arange(len(edge)) + np.repeat(low - np.cumsum(count) + count, count)]
+        share = (crossed - ring[edge, axis]) / step[edge, axis]
+        place = ring[edge] + share[:, None] * step[edge]
+        place[:, axis] = crossed
+        edges.append(edge)
+        shares.append(share)
+        originals.append(place)
+    order = np.lexsort([np.concatenate(shares), np.concatenate(edges)])
+    original = np.vstack(originals)[order]
+    codes, moved = np.empty(original.shape, dtype=int), original.copy()
+    for axis, line in enumerate(lines):
+        x = original[:, axis]
+        after = np.searchsorted(line, x, side="right")
+        nearest = after - (x - line[after - 1] < line[np.minimum(after, len(line) - 1)] - x)
+        on = np.abs(x - line[nearest]) <= near
+        codes[:, axis] = np.where(on, 2 * nearest, 2 * after - 1)
+        moved[:, axis] = np.where(on, line[nearest], x)
+    return codes, moved, original
+
+
+def _needed(codes: IntArray, moved: FloatArray, original: FloatArray, near: float) -> IntArray:
+    """Vertices of a divided ring that are kept: nodes, crossings and corners off them."""
+    odd = (codes % 2).sum(1)
+    n = len(codes)
+    begins = (codes != np.roll(codes, 1, axis=0)).any(1)
+    if not begins.any():
+        return np.arange(0)
+    # runs of vertices on the same node, leg or cell; a run on a leg crosses it, or only touches
+    order = np.roll(np.arange(n), -int(begins.argmax()))
+    first = np.flatnonzero(begins[order])
+    last = np.append(first[1:], n) - 1
+    code = codes[order[first]]
+    sides = np.roll(code, 1, axis=0) - code, np.roll(code, -1, axis=0) - code
+    crosses = (odd[order[first]] == 1) & ((sides[0] * sides[1] < 0) & (code % 2 == 0)).any(1)
+    at_node = odd[order[first]] == 0
+    anchors = order[np.sort(np.r_[first[at_node], (first[crosses] + last[crosses]) // 2])]
+    if not len(anchors):
+        return np.arange(0)
+    order = np.roll(np.arange(n), -int(anchors[0]))
+    anchors = (anchors - anchors[0]) % n
+    moved, original = moved[order], original[order]
+    kept = []
+    for start, end in itertools.pairwise([*anchors.tolist(), len(order)]):
+        kept += [start, *_corners_between(moved, original, start, end, near)]
+    return order[kept]
+
+
+def _corners_between(
+    moved: FloatArray, original: FloatArray, start: int, end: int, near: float
+) -> list[int]:
+    """Vertices to keep so that the others lie within `near` of the straight line between."""
+    if end - start < 2:
+        return []
+    p, q = moved[start], moved[end % len(moved)]
+    along, off = q - p, original[start + 1 : end] - p
+    share = np.clip(off @ along / max(along @ along, 1e-300), 0.0, 1.0)
+    distance = np.linalg.norm(off - share[:, None] * along, axis=1)
+    if distance.max() <= near:
+        return []
+    at = start + 1 + int(distance.argmax())
+    return [
+        *_corners_between(moved, original, start, at, near),
+        at,
+        *_corners_between(moved, original, at, end, near),
+    ]
+
+
+def _without_spikes(loop: list[int]) -> list[int]:
+    """Leave out repeated vertices of a closed loop, and ways there and back.
+
+    Examples
+    --------
+    >>> _without_spikes([9, 1, 2, 3, 2, 4, 4, 5, 1])
+    [1, 2, 4, 5]
+    """
+    kept: list[int] = []
+    for vertex in loop:
+        if len(kept) > 1 and kept[-2] == vertex:
+            kept.pop()
+        elif not kept or kept[-1] != vertex:
+            kept.append(vertex)
+    while len(kept) > 1 and (kept[0] == kept[-1] or kept[1] == kept[-1] or kept[0] == kept[-2]):
+        if kept[0] == kept[-1] or kept[0] == kept[-2]:
+            kept.pop()
+        else:
+            del kept[0]
+    return kept
+
+
+def _cell_rim(
+    i: int, j: int, n_b: int, on_legs: dict[tuple[int, int], list[int]], points: FloatArray
+) -> list[int]:
+    """Nodes around the cell (i, j), counter-clockwise, with those of the outline on its legs."""
+    rim = []
+    for (I, J), leg in zip(
+        ((i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)),
+        ((1, 0), (2, 1), (1, 2), (0, 1)),
+        strict=True,
+    ):
+        node = I * n_b + J
+        more = on_legs.get((2 * i + leg[0], 2 * j + leg[1]), [])
+        rim += [node, *sorted(more, key=lambda k: np.abs(points[k] - points[node]).sum())]
+    return rim
+
+
+def _faces(rim: list[int], segments: list[tuple[int, int]], points: FloatArray) -> list[list[int]]:
+    """Faces on the left of the `segments` of the outline in a cell; without any, the cell."""
+    if not segments:
+        return [rim]
+    ends: dict[int, list[int]] = {}
+    for start, end in [*itertools.pairwise([*rim, rim[0]]), *segments]:
+        ends.setdefault(start, []).append(end)
+
+    def turn(u: int, v: int, w: int) -> float:
+        """Clockwise angle at v from u to w."""
+        (x, y), (s, t) = points[u] - points[v], points[w] - points[v]
+        return atan2(y * s - x * t, x * s + y * t) % (2 * pi) or 2 * pi
+
+    todo, faces = dict.fromkeys(segments), []
+    while todo:
+        first = u, v = next(iter(todo))
+        face = []
+        while not face or (u, v) != first:
+            todo.pop((u, v), None)
+            face.append(u)
+            w = ends[v][0] if len(ends[v]) == 1 else min(ends[v], key=lambda w: turn(u, v, w))
+            u, v = v, w
+            if len(face) > len(rim) + len(segments):
+                raise InputError(
+                    "the outline crosses itself between fibre lines: choose a smaller size"
+                )
+        faces.append(face)
+    return faces
+
+
+def _triangulated(faces: list[list[int]], points: FloatArray, sharp: float) -> IntArray:
+    """Triangles of all faces: fans, or what avoids angles below `sharp` (radians) best."""
+    if not faces:
+        return np.empty((0, 3), dtype=int)
+    fans = [_fan(np.array(face), points[face]) for face in faces]
+    angles = _smallest_angles(points[np.vstack(fans)])
+    ends = np.cumsum([len(fan) for fan in fans])
+    worst = np.minimum.reduceat(angles, ends - [len(fan) for fan in fans])
+    for k in np.flatnonzero(worst < sharp):
+        fans[k] = _best(faces[k], points)
+    return np.vstack(fans)
+
+
+def _fan(face: IntArray, ring: FloatArray) -> IntArray:
+    """Triangles of one cell cut by the outline.
+
+    The fan starts at the vertex before the first right corner, which is so kept whole.
+    """
+    right = _right_corners(ring)
+    starts = np.flatnonzero(right & ~np.roll(right, 1))
+    fan = np.roll(face, 1 - (starts[0] if len(starts) else 1))
+    return np.stack([np.broadcast_to(fan[0], len(fan) - 2), fan[1:-1], fan[2:]], axis=1)
+
+
+def _right_corners(ring: FloatArray) -> np.ndarray:
+    """Which vertices of a ring (n, 2) lie between a leg on a warp and one on a weft."""
+    step = np.abs(np.roll(ring, -1, axis=0) - ring)
+    along_a, along_b = step[:, 1] < 1e-9 * step[:, 0], step[:, 0] < 1e-9 * step[:, 1]
+    return (along_a & np.roll(along_b, 1)) | (along_b & np.roll(along_a, 1))
+
+
+def _smallest_angles(corners: FloatArray) -> FloatArray:
+    """Smallest angle, radians, of triangles (n, 3, 2); negative if clockwise."""
+    u, v = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
+    return np.arctan2(u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0], (u * v).sum(-1)).min(1)
+
+
+def _best(face: list[int], points: FloatArray) -> IntArray:
+    """Triangulation of a face with the largest smallest angle.
+
+    A triangulation of the ring whose triangles all turn counter-clockwise tiles the face, convex or
+    not.
+    """
+    triples = np.array(list(itertools.combinations(range(len(face)), 3)))
+    angles = _smallest_angles(points[np.array(face)[triples]])
+    angle = dict(zip(map(tuple, triples.tolist()), angles.tolist(), strict=True))
+
+    @cache
+    def best(first: int, last: int) -> tuple[float, tuple]:
+        """Smallest angle and triangles of the vertices from `first` to `last`."""
+        if last - first < 2:
+            return np.inf, ()
+        ways = []
+        for k in range(first + 1, last):
+            (left, some), (right, others) = best(first, k), best(k, last)
+            tip = first, k, last
+            ways.append((min(angle[tip], left, right), (tip, *some, *others)))
+        return max(ways)
+
+    value, triangles = best(0, len(face) - 1)
+    if value <= 0:
+        raise InputError("the outline crosses itself between fibre lines: choose a smaller size")
+    return np.array(face)[np.array(triangles)]

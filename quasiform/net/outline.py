@@ -1,0 +1,312 @@
+"""Outlines of blanks: polygons with holes, built or read from a drawing, a mesh or a table.
+
+Everything is a `shapely.Polygon` in mm, its holes are the interiors. What is read becomes lines,
+lines whose ends meet become loops; the largest loop is the outline and those inside are its holes.
+"""
+
+from __future__ import annotations
+
+import logging
+import re
+from collections.abc import Iterable, Sequence
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+import shapely
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from ..checks import InputError, check_file, check_number
+from ..tools.surface_file import CAD, MESHES, read_surface
+
+FloatArray = np.ndarray
+CHORD = 0.01  # mm, largest distance of a polygon from the curve it stands for
+GAP = 0.05  # mm, ends of lines nearer than this meet
+SMALLEST, LARGEST = 5.0, 20e3  # mm across; beyond, the unit of a file is doubted
+TABLES = (".csv", ".txt", ".xy", ".dat")
+
+
+def rectangle(
+    length: float, width: float, centre: tuple[float, float] = (0.0, 0.0)
+) -> shapely.Polygon:
+    """Rectangle, mm, length along x.
+
+    Raises
+    ------
+    InputError
+    """
+    half = 0.5 * check_number("length", length), 0.5 * check_number("width", width)
+    return shapely.box(*np.subtract(centre, half), *np.add(centre, half))
+
+
+def disc(radius: float, centre: tuple[float, float] = (0.0, 0.0)) -> shapely.Polygon:
+    """Disc, mm: an inscribed polygon with a corner every degree or less.
+
+    Raises
+    ------
+    InputError
+    """
+    check_number("radius", radius)
+    # radius (1 - cos(π/n)) < CHORD
+    n = 360 * int(np.ceil(np.pi / 360 * np.sqrt(radius / (2 * CHORD)) + 1e-9))
+    angle = 2 * np.pi * np.arange(n) / n
+    return shapely.Polygon(radius * np.column_stack([np.cos(angle), np.sin(angle)]) + centre)
+
+
+def polygon(points: Sequence[tuple[float, float]]) -> shapely.Polygon:
+    """Polygon through points (n, 2), mm, in either sense, closed or not.
+
+    Raises
+    ------
+    InputError
+        For less than three points, or edges that cross.
+    """
+    try:
+        points = np.asarray(points, dtype=float)
+    except (TypeError, ValueError):
+        points = np.empty(0)
+    if points.ndim != 2 or points.shape[1] != 2 or not np.isfinite(points).all():
+        raise InputError("points must be a list of [x, y] in mm")
+    return _loop(points)
+
+
+def with_holes(outline: shapely.Polygon, holes: Iterable[shapely.Polygon]) -> shapely.Polygon:
+    """Cut holes, which must lie inside without touching, out of an outline.
+
+    Raises
+    ------
+    InputError
+    """
+    for k, hole in enumerate(holes, 1):
+        if not outline.contains_properly(hole):
+            raise InputError(
+                f"hole {k} near {_place(hole.centroid)} does not lie inside the outline, clear of "
+                "its edge and of other holes"
+            )
+        outline = outline.difference(hole)
+    return outline
+
+
+def read_outline(path: str | Path, scale: float = 1.0) -> shapely.Polygon:
+    """Read the outline of a blank from a file.
+
+    ================================  ============================================================
+    .dxf                              lines, polylines, arcs, circles, ellipses and splines of the
+                                      model space, also in blocks; ends nearer than 0.05 mm meet,
+                                      open lines inside the outline are ignored; needs ezdxf
+    .msh .vtu .vtk .stl .obj .ply     the rim of a flat mesh
+    .step .iges .brep .geo            the rim of a flat surface; needs gmsh
+    .csv .txt .xy .dat                a corner x, y a line, with or without a heading
+    ================================  ============================================================
+
+    Parameters
+    ----------
+    path : path
+    scale : float
+        mm per unit of the file; where the file names its unit ($INSUNITS of a .dxf, the units of a
+        .step), a factor beside it.
+
+    Returns
+    -------
+    shapely.Polygon
+        mm, counter-clockwise.
+
+    Raises
+    ------
+    InputError
+        Naming the file and its defect: not readable, no closed loop, edges that cross, ...
+    """
+    path = Path(path)
+    kind = path.suffix.lower()
+    try:
+        check_number("scale", scale)
+        if kind in (".dxf", *TABLES):
+            check_file(path)
+        if kind == ".dxf":
+            outline = _from_lines(_drawn(path, scale), GAP)
+        elif kind in MESHES or kind in CAD:
+            outline = _from_lines(_rim(*read_surface(path, scale)), 0.0)
+        elif kind in TABLES:
+            outline = _loop(scale * _table(path.read_text(encoding="utf-8-sig")))
+        else:
+            known = ", ".join([".dxf", *MESHES, *CAD, *TABLES])
+            raise InputError(f"unknown kind of outline '{kind}': expected one of {known}")
+        low_x, low_y, high_x, high_y = outline.bounds
+        check_unit(max(high_x - low_x, high_y - low_y), scale)
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or error}") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: {error}") from error
+    except InputError as error:
+        named = str(error).startswith(str(path))
+        raise InputError(str(error) if named else f"{path}: {error}") from error
+    return outline
+
+
+def _table(text: str) -> FloatArray:
+    """(n, 2) points of a table of two or more columns; the first line may be a heading."""
+    points: list[list[float]] = []
+    first = True
+    for number, line in enumerate(text.splitlines(), 1):
+        line = line.split("#")[0].strip()
+        if not line:
+            continue
+        if ";" in line:  # where the comma is the decimal sign
+            line = line.replace(",", ".")
+        try:
+            x, y = (float(word) for word in re.split(r"[\s,;]+", line)[:2])
+            points.append([x, y])
+        except ValueError:
+            if not first:
+                raise InputError(f"line {number}: expected x, y, got {line!r}") from None
+        first = False
+    if not np.isfinite(points).all():
+        raise InputError("not all coordinates are finite numbers")
+    return np.reshape(points, (-1, 2))
+
+
+def _drawn(path: Path, scale: float) -> list[FloatArray]:
+    """Lines (n, 2), mm, of the model space of a drawing."""
+    try:
+        ezdxf = import_module("ezdxf")
+        paths, blocks = import_module("ezdxf.path"), import_module("ezdxf.disassemble")
+        units = import_module("ezdxf.units")
+        logging.getLogger("ezdxf").addHandler(logging.NullHandler())  # else it prints warnings
+    except ImportError as error:
+        raise InputError("a .dxf file needs ezdxf: pip install 'quasiform[cad]'") from error
+    try:
+        drawing = ezdxf.readfile(path)
+        unit = drawing.header.get("$INSUNITS", 0)
+        scale *= units.conversion_factor(unit, units.MM) if unit else 1.0
+        lines = []
+        for entity in blocks.recursive_decompose(drawing.modelspace()):
+            if entity.dxftype() in (
+                *("LINE", "LWPOLYLINE", "POLYLINE"),
+                *("ARC", "CIRCLE", "ELLIPSE", "SPLINE"),
+            ):
+                curve = paths.make_path(entity)
+                points = np.array([p.vec2 for p in curve.flattening(CHORD / scale)], dtype=float)
+                lines.append(scale * points.reshape(-1, 2))
+    except Exception as error:  # whatever the parser meets
+        reason = " ".join(str(error).replace(f"'{path}'", "it").split())
+        reason = reason or type(error).__name__
+        raise InputError(f"not a readable .dxf file: {reason}") from error
+    return lines
+
+
+def _rim(vertices: FloatArray, triangles: np.ndarray) -> list[FloatArray]:
+    """Edges (2, 2) that belong to one triangle only, of a flat mesh."""
+    if np.ptp(vertices[:, 2]) > 1e-3 * np.ptp(vertices, axis=0).max():
+        raise InputError(f"the surface is not flat: its z spans {np.ptp(vertices[:, 2]):.3g} mm")
+    edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    edges, count = np.unique(edges, axis=0, return_counts=True)
+    return list(vertices[edges[count == 1], :2])
+
+
+def _from_lines(lines: list[FloatArray], gap: float) -> shapely.Polygon:
+    """Join lines (n, 2) with ends nearer than `gap` (mm) into loops: an outline and its holes."""
+    lines = _joined(lines, gap)
+    if not lines:
+        raise InputError("no lines found")
+    merged = shapely.get_parts(shapely.line_merge(shapely.MultiLineString(lines)))
+    closed = shapely.is_closed(merged)
+    loops = sorted((_loop(shapely.get_coordinates(m)) for m in merged[closed]), key=_minus_area)
+    loose = merged[~closed]
+    if len(loops):
+        loose = loose[~shapely.covers(loops[0].buffer(GAP), loose)]
+    if len(loose):
+        raise InputError(_open_end(loose))
+    outline, holes = loops[0], []
+    for loop in loops[1:]:
+        if not any(
+            loop.symmetric_difference(other).area < GAP * loop.length for other in (outline, *holes)
+        ):  # else drawn twice
+            holes.append(loop)
+    for hole in holes:
+        if not outline.contains_properly(hole):
+            raise InputError(
+                f"more than one outline: a second loop near {_place(hole.centroid)} does not lie "
+                "inside the largest"
+            )
+    for k, hole in enumerate(holes):
+        for other in holes[k + 1 :]:
+            if hole.intersects(other):
+                raise InputError(
+                    f"a loop lies inside or across another hole near {_place(other.centroid)}"
+                )
+    return shapely.orient_polygons(with_holes(outline, holes))
+
+
+def _minus_area(shape: shapely.Polygon) -> float:
+    return -shape.area
+
+
+def _joined(lines: list[FloatArray], gap: float) -> list[FloatArray]:
+    """Bring ends nearer than `gap` together; leave out points and lines drawn twice."""
+    lines = [line for line in lines if len(line) > 1 and np.ptp(line, axis=0).max() > gap]
+    if not lines:
+        return []
+    ends = np.vstack([line[[0, -1]] for line in lines])
+    pairs = cKDTree(ends).query_pairs(gap, output_type="ndarray")
+    links = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(ends), len(ends)))
+    count, group = connected_components(links, directed=False)
+    share = np.bincount(group, minlength=count)[:, None]
+    middle = np.stack([np.bincount(group, x, minlength=count) for x in ends.T], axis=1) / share
+    different = {}
+    for line, (start, end) in zip(lines, middle[group.reshape(-1, 2)], strict=True):
+        line = np.vstack([start, line[1:-1], end])
+        key = min(line.round(3).tobytes(), line[::-1].round(3).tobytes())
+        different.setdefault(key, line)
+    return list(different.values())
+
+
+def _open_end(lines: np.ndarray) -> str:
+    """Say where lines that do not close end or branch."""
+    ends = np.vstack([shapely.get_coordinates(line)[[0, -1]] for line in lines])
+    points, times = np.unique(ends, axis=0, return_counts=True)
+    free = points[times == 1]
+    if len(free) < 2:
+        return f"lines branch at {_place(points[times.argmax()])}: expected closed loops"
+    distance, nearest = cKDTree(free).query(free, k=2)
+    at = distance[:, 1].argmin()
+    return (
+        f"no closed loop: gap of {distance[at, 1]:.3g} mm between {_place(free[at])} and "
+        f"{_place(free[nearest[at, 1]])}"
+    )
+
+
+def _loop(points: FloatArray) -> shapely.Polygon:
+    """Polygon through points (n, 2) if it encloses an area and its edges do not cross."""
+    if len(points) < 3:
+        raise InputError(f"an outline needs three points, got {len(points)}")
+    loop = shapely.Polygon(points)
+    if not loop.is_valid:
+        reason = shapely.is_valid_reason(loop)
+        place = re.search(r"\[(\S+) (\S+)\]", reason)
+        if place and shapely.convex_hull(loop).area > 1e-9 * loop.length**2:
+            raise InputError(f"the outline crosses itself at {_place(map(float, place.groups()))}")
+        raise InputError("the outline encloses no area")
+    if loop.area <= 1e-9 * loop.length**2:
+        raise InputError("the outline encloses no area")
+    return shapely.orient_polygons(loop)
+
+
+def check_unit(across: float, scale: float) -> None:
+    """Doubt the unit of a blank that is a few mm or many metres across.
+
+    Raises
+    ------
+    InputError
+    """
+    if not SMALLEST <= across <= LARGEST:
+        unit, factor = ("metres", 1000.0) if across < SMALLEST else ("micrometres", 1e-3)
+        raise InputError(
+            f"the blank is {across:.3g} mm across: is it in {unit}? set scale = {factor * scale:g}"
+        )
+
+
+def _place(point: shapely.Point | Iterable[float]) -> str:
+    x, y = (point.x, point.y) if isinstance(point, shapely.Point) else point
+    return f"({round(x, 6) + 0.0:.4g}, {round(y, 6) + 0.0:.4g})"

@@ -1,0 +1,1 @@
+"""What a run leaves: formed sheets, history, certificate, files."""

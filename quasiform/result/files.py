@@ -1,0 +1,126 @@
+"""The folder of a result: checked before a run, filled as it goes, or replaced as a whole."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, nullcontext, suppress
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from ..checks import InputError
+
+INCREMENTS = "increment_*.vtu"
+RESUME = "resume.npz"
+PICTURES = ("shear_angle.png", "history.png", "doubt.png")
+FILES = (
+    "summary.json",
+    "history.csv",
+    "outline.csv",
+    "result.vtu",
+    "result.pvd",
+    *PICTURES,
+    RESUME,
+)
+
+
+def check_folder(out: str | Path, *, force: bool = False, names: Sequence[str] = FILES) -> Path:
+    """Check that a result can be written to a folder; nothing is made, nothing is touched.
+
+    Parameters
+    ----------
+    out : path
+    force : bool
+        Whether the folder may hold a result already.
+    names : sequence of str
+        Files that make a result.
+
+    Raises
+    ------
+    InputError
+    """
+    folder = Path(out)
+    with _writing_to(folder):
+        if folder.exists() and not folder.is_dir():
+            raise InputError(f"cannot write to {folder}: it is not a folder")
+        held = _held(folder, names)
+        if held and not force:
+            raise InputError(
+                f"{folder} holds a result already ({held[0].name}): "
+                "choose another folder, or replace it with --force"
+            )
+        with _made(folder):
+            TemporaryDirectory(prefix=".new-", dir=folder).cleanup()
+    return folder
+
+
+@contextmanager
+def replaced(
+    out: str | Path, *, force: bool = False, names: Sequence[str] = FILES
+) -> Iterator[Path]:
+    """Yield an empty folder whose files take the place of the result in `out` at the end.
+
+    An old result stays complete until the new one is.
+
+    Raises
+    ------
+    InputError
+        As `check_folder`.
+    """
+    folder = check_folder(out, force=force, names=names)
+    with _writing_to(folder), added(folder, instead=names) as staging:
+        yield staging
+
+
+@contextmanager
+def added(folder: Path, *, instead: Sequence[str] = ()) -> Iterator[Path]:
+    """Yield an empty folder whose files are put into `folder` at the end, each in one step.
+
+    Parameters
+    ----------
+    folder : path
+    instead : sequence of str
+        Names of an older result, whose files go then; the folder is made if missing.
+
+    Raises
+    ------
+    OSError
+        If the folder is gone or cannot be written.
+    """
+    with (
+        _made(folder) if instead else nullcontext(),
+        TemporaryDirectory(prefix=".new-", dir=folder, ignore_cleanup_errors=True) as staging,
+    ):
+        yield Path(staging)
+        new = {path.name for path in Path(staging).iterdir()}
+        old = [path for path in _held(folder, instead) if path.name not in new]
+        for name in sorted(new):
+            os.replace(Path(staging, name), folder / name)
+        for path in old:
+            path.unlink(missing_ok=True)
+
+
+def _held(folder: Path, names: Sequence[str]) -> list[Path]:
+    named = [folder / name for name in names if (folder / name).exists()]
+    return named + (sorted(folder.glob(INCREMENTS)) if names is FILES else [])
+
+
+@contextmanager
+def _made(folder: Path) -> Iterator[None]:
+    """Make a folder for the time being; it stays if something has been put into it."""
+    missing = [path for path in (folder, *folder.parents) if not path.exists()]
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        yield
+    finally:
+        for path in missing:
+            with suppress(OSError):  # not empty
+                path.rmdir()
+
+
+@contextmanager
+def _writing_to(folder: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"cannot write to {folder}: {error.strerror or error}") from error

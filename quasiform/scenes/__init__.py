@@ -1,0 +1,1 @@
+"""What is solved: scene files, forming with tools, tests of a fabric."""

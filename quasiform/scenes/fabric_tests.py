@@ -1,0 +1,321 @@
+"""Ready scenes for the tests of a fabric: off-axis tension, picture frame, cantilever."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from functools import partial
+from math import atan2, cos, degrees, radians, sin
+from numbers import Real
+from pathlib import Path
+
+import numpy as np
+import shapely
+
+from ..checks import InputError, check_number
+from ..energy.bending import Bending
+from ..energy.membrane import Membrane
+from ..energy.paired_membrane import membrane_of
+from ..energy.weight import SheetWeight
+from ..fabric import Fabric, fabric_of
+from ..model import Scene
+from ..net.blank import Blank, rectangle
+from ..net.free_mesh import PAIRED, own_mesh, triangulate
+
+FloatArray = np.ndarray
+
+
+def off_axis_tension(
+    angle: float = 45.0,
+    law: str | Fabric = "locking",
+    length: float = 320.0,
+    width: float = 160.0,
+    displacement: float = 80.0,
+    size: float = 10.0,
+    mesh: str | Path = "fibre",
+) -> Scene:
+    """Off-axis tension test (Schäfer et al., Fig. 2 a) as a plane problem with rigid grips.
+
+    The grips are the lines x = ±length/2; the right one moves along x. Fibre lines run through the
+    grip corners, warp at -angle and weft at 90° - angle to the load, so that γ is positive.
+
+    Parameters
+    ----------
+    angle : float
+        Θ0, degrees, between load and warp.
+    law : str or Fabric
+        "locking", "best-fit", a TOML file or a `Fabric`.
+    length, width, displacement : float
+        l0, w0 and the largest grip displacement, mm.
+    size : float
+        Cell edge along the specimen's axes at 45°, mm: √2 times the spacing of the fibre lines.
+    mesh : "fibre", "free" or a path
+        Cut from the fibre lines; a free triangulation of as many triangles; or the user's own mesh
+        of the specimen, centred at the origin. The last two do not follow the fibres.
+
+    Returns
+    -------
+    Scene
+
+    Raises
+    ------
+    InputError
+        For bad numbers, or an angle at which a fibre joins both grips.
+    """
+    fabric = fabric_of(law)
+    for name, value in (
+        ("length", length),
+        ("width", width),
+        ("displacement", displacement),
+        ("size", size),
+    ):
+        check_number(name, value)
+    low = degrees(atan2(width, length))
+    if not (isinstance(angle, Real) and low < angle < 90.0 - low):
+        raise InputError(
+            f"angle must lie between {low:.1f} and {90 - low:.1f} degrees for {length:g} x "
+            f"{width:g} mm (elsewhere a fibre joins both grips), got {angle!r}"
+        )
+    if size > width:
+        raise InputError(f"size must not exceed the width {width:g} mm, got {size:g}")
+    spacing = size / np.sqrt(2.0)
+    if mesh == "fibre":
+        blank = rectangle(length, width, spacing, orientation=-angle)
+    elif mesh == "free":
+        blank = triangulate(
+            shapely.box(*np.array([-length, -width, length, width]) / 2), spacing, -angle
+        )
+    else:
+        blank = own_mesh(mesh, -angle)
+    x0 = blank.nodes.ravel().copy()
+    left = blank.nodes[:, 0] < -length / 2 + 1e-6 * size
+    right = blank.nodes[:, 0] > length / 2 - 1e-6 * size
+    drive = np.zeros(len(x0))
+    drive[0::2] = right
+    membrane = membrane_of(blank, fabric, dim=2)
+    zones = off_axis_zones(blank, length, width, angle)
+    # the centre: inside the zone of full shear and near the middle of the specimen
+    band = min(
+        length * sin(radians(angle)) - width * cos(radians(angle)),
+        length * cos(radians(angle)) - width * sin(radians(angle)),
+    )
+    radius = min(width / 8, band / 2)
+    centre = zones["full"] & (np.linalg.norm(blank.centroids, axis=1) < radius)
+    if not centre.any():
+        near = np.linalg.norm(blank.centroids, axis=1)
+        centre = zones["full"] & (near <= near[zones["full"]].min() * (1 + 1e-9))
+    weights = np.where(centre, blank.areas, 0.0) / blank.areas[centre].sum()
+
+    def mean(quantity: int, x: FloatArray) -> float:
+        I4, _, I8 = membrane.invariants(x)
+        field = (np.degrees(membrane.shear_angle(x)), 0.5 * (I4 - 1), 0.5 * (I8 - 1))[quantity]
+        return float(weights @ field)
+
+    return Scene(
+        name=f"oat-{angle:g}",
+        blank=blank,
+        fabric=fabric,
+        dim=2,
+        terms=[membrane],
+        x0=x0,
+        fixed=np.repeat(left | right, 2),
+        drive=drive,
+        travel=float(displacement),
+        increment=5.0,
+        rows=5.0,
+        parameters={
+            "angle": angle,
+            "law": fabric.name,
+            "fabric": asdict(fabric),
+            "length": length,
+            "width": width,
+            "displacement": displacement,
+            "size": size,
+            "mesh": str(mesh),
+        },
+        measures={
+            "shear_angle_center_deg": partial(mean, 0),
+            "shear_angle_max_deg": lambda x: float(
+                np.degrees(np.abs(membrane.shear_angle(x)).max())
+            ),
+            "E11_center": partial(mean, 1),
+            "E22_center": partial(mean, 2),
+        },
+        model=[
+            ("plane problem", "no tools and no load out of the plane: two dofs a node, held flat"),
+            (
+                "bending left out",
+                "held flat; fibres curve freely in the plane, as in the paper's model",
+            ),
+            ("contact and friction left out", "no tools"),
+            ("weight left out", "acts out of the plane"),
+            *([PAIRED] if blank.pairs is not None else []),
+        ],
+        resized=(
+            None
+            if mesh not in ("fibre", "free")
+            else lambda size: off_axis_tension(
+                angle, fabric, length, width, displacement, size, mesh
+            )
+        ),
+        coarsest=width / 4,
+    )
+
+
+def off_axis_zones(
+    blank: Blank, length: float, width: float, angle: float
+) -> dict[str, np.ndarray]:
+    """Triangles of the zones of Schäfer et al., Fig. 2 a, by which of their fibres reach a grip.
+
+    Returns
+    -------
+    dict with bool arrays (n_triangles,)
+        "full" (no fibre is gripped), "warp free" and "weft free" (that family alone is free) and
+        "rigid" (both gripped).
+    """
+    c, s = cos(radians(angle)), sin(radians(angle))
+    # a warp line is free if it crosses both free edges: seen by its weft coordinate
+    warp_free = np.abs(blank.centroids @ blank.weft) < (length * s - width * c) / 2
+    weft_free = np.abs(blank.centroids @ blank.warp) < (length * c - width * s) / 2
+    return {
+        "full": warp_free & weft_free,
+        "warp free": warp_free & ~weft_free,
+        "weft free": weft_free & ~warp_free,
+        "rigid": ~warp_free & ~weft_free,
+    }
+
+
+def picture_frame(
+    side: float = 100.0,
+    shear: float = 50.0,
+    law: str | Fabric = "locking",
+    size: float = 10.0,
+) -> Scene:
+    """Picture frame: a square net, fibres along the sides, sheared by a hinged rigid frame.
+
+    The travel is the displacement d of the pulled corner, d = 2 L cos(π/4 - γ/2) - √2 L.
+
+    Parameters
+    ----------
+    side : float
+        L, mm.
+    shear : float
+        Shear angle at the end, degrees.
+    law : str or Fabric
+        As in `off_axis_tension`.
+    size : float
+        Spacing of the fibre lines, mm.
+
+    Returns
+    -------
+    Scene
+
+    Raises
+    ------
+    InputError
+        For bad numbers, or a shear angle of 90 degrees and more.
+    """
+    fabric = fabric_of(law)
+    check_number("side", side)
+    check_number("size", size)
+    if not 0 < check_number("shear", shear) < 90:
+        raise InputError(f"shear must lie below 90 degrees, got {shear:g}")
+    blank = rectangle(side, side, size)
+    rim = np.zeros(len(blank.nodes), dtype=bool)
+    rim[np.unique(blank.mesh.facets[:, blank.mesh.boundary_facets()])] = True
+    diagonal = np.array([[1.0, 1.0], [-1.0, 1.0]]) / np.sqrt(2.0)  # pulled, and across
+
+    def frame(d: float) -> tuple[FloatArray, FloatArray]:
+        """Affine motion of the frame: the pulled diagonal grows, the other one shrinks."""
+        half = np.arccos((np.sqrt(2.0) * side + d) / (2.0 * side))  # π/4 - γ/2
+        stretch = np.sqrt(2.0) * np.array([np.cos(half), np.sin(half)])
+        rate = np.array([1.0, -1.0 / np.tan(half)]) / (np.sqrt(2.0) * side)
+        along = blank.nodes @ diagonal.T
+        return (along * stretch @ diagonal).ravel(), (along * rate @ diagonal).ravel()
+
+    gamma = radians(shear)
+    return Scene(
+        name="picture-frame",
+        blank=blank,
+        fabric=fabric,
+        dim=2,
+        terms=[Membrane(blank, fabric, dim=2)],
+        x0=blank.nodes.ravel().copy(),
+        fixed=np.repeat(rim, 2),
+        drive=frame,
+        travel=2.0 * side * cos(np.pi / 4 - gamma / 2) - np.sqrt(2.0) * side,
+        increment=5.0,
+        rows=5.0,
+        parameters={"side": side, "shear": shear, "law": fabric.name, "size": size},
+        model=[("plane problem", "held flat by the frame")],
+        resized=lambda size: picture_frame(side, shear, fabric, size),
+    )
+
+
+def cantilever(
+    length: float,
+    load: float,
+    width: float = 25.0,
+    law: str | Fabric = "locking",
+    size: float = 5.0,
+    family: str = "warp",
+) -> Scene:
+    """Strip clamped horizontally at one end, bending under its own weight (Peirce's test).
+
+    Parameters
+    ----------
+    length, width : float
+        Free length and width, mm.
+    load : float
+        Weight per area, N/mm²; its factor is raised from 0 to 1 as the travel.
+    law : str or Fabric
+        As in `off_axis_tension`.
+    size : float
+        Spacing of the fibre lines, mm.
+    family : "warp" or "weft"
+        Fibres along the strip.
+
+    Returns
+    -------
+    Scene
+
+    Raises
+    ------
+    InputError
+        For bad numbers, or an unknown family.
+    """
+    fabric = fabric_of(law)
+    for name, value in (("length", length), ("load", load), ("width", width), ("size", size)):
+        check_number(name, value)
+    if family not in ("warp", "weft"):
+        raise InputError(f"family must be 'warp' or 'weft', got {family!r}")
+    blank = rectangle(
+        length, width, size, 0.0 if family == "warp" else -90.0, centre=(length / 2, 0.0)
+    )
+    n = len(blank.nodes)
+    clamped = np.abs(blank.nodes[:, 0]) < 1e-9 * length
+    x0 = np.append(np.column_stack([blank.nodes, np.zeros(n)]).ravel(), 0.0)
+    fixed = np.append(np.repeat(clamped, 3), True)
+    drive = np.zeros(len(x0))
+    drive[-1] = 1.0
+    return Scene(
+        name=f"cantilever-{family}",
+        blank=blank,
+        fabric=fabric,
+        dim=3,
+        terms=[
+            Membrane(blank, fabric, dim=3),
+            Bending(blank, fabric, clamped),
+            SheetWeight(blank, load, 3 * n),
+        ],
+        x0=x0,
+        fixed=fixed,
+        drive=drive,
+        travel=1.0,
+        increment=0.25,
+        rows=0.25,
+        travel_name="load_factor",
+        dead_load=load * length * width,
+        parameters={"length": length, "load": load, "width": width, "size": size, "family": family},
+        model=[("contact and friction left out", "no tools")],
+        resized=lambda size: cantilever(length, load, width, fabric, size, family),
+    )

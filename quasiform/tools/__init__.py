@@ -1,0 +1,1 @@
+"""Rigid tools by their signed distance: closed forms, spline grids, surface and CAD files."""

@@ -1,0 +1,431 @@
+"""Rigid tools from surface files: a smooth signed distance on a grid.
+
+The distance to a triangle mesh has kinks at every facet, where Newton's method stalls. Therefore
+
+1. the file's triangles are read, placed in the tool's frame (mm) and checked;
+2. the nodes of a coarse grid get their exact signed distance; those of two finer ones get theirs
+   near the surface and interpolate the coarser grid elsewhere;
+3. the tricubic B-spline through the nodes is the distance d. It is C², n is its true gradient and
+   H its true second derivative.
+
+Closed surfaces take their sign from the winding number, which the needle-shaped facets of CAD
+exports do not disturb [1]_. Open ones take it from the side of the nearest facet: outside is where
+the normals point [2]_. The body behind an open surface ends in a wall that falls from its rim along
+the normals, so that a sheet slides off the rim.
+
+References
+----------
+.. [1] G. Barill et al., Fast winding numbers for soups and clouds, ACM Trans. Graph. 37 (2018) 43.
+.. [2] J. A. Bærentzen, H. Aanæs, Signed distance computation using the angle weighted
+   pseudonormal, IEEE Trans. Vis. Comput. Graph. 11 (2005) 243-253.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.ndimage import spline_filter, zoom
+from scipy.spatial.transform import Rotation
+
+from ..checks import InputError, check_number
+from .shapes import Distance
+from .surface_file import (
+    check_numbers,
+    edges_of,
+    holes_of,
+    loops_of,
+    naming,
+    normals_of,
+    optional,
+    position,
+    read_repaired,
+)
+
+FloatArray = np.ndarray
+
+SPACING = 2.0  # mm
+AT_RIM = 1e-6  # of the surface's size: feet nearer to the rim lie on it
+UNITS = {"mm": 1.0, "inches": 25.4, "metres": 1e3, "centimetres": 10.0, "micrometres": 1e-3}
+REMEDY = "export it anew as one watertight body, or mend it in CAD, MeshLab or Blender"
+LOST = 0.4  # of a normal's length along n: walls and gaps thinner than a cell
+BAND = 8.0  # cells of each level next to the surface whose nodes get exact distances
+MARGIN = 5  # cells (and 10 mm) of grid around the tool
+PAD = 5  # cells beyond the box: the spline's end conditions have died out there (0.27 a cell)
+MOST_NODES = 1e8
+CHUNK = 1024  # points whose coefficients stay in the cache
+
+
+# Cubic B-spline on a cell: powers of t (rows) in each of the four coefficients
+_POWERS = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]]) / 6.0
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceGrid:
+    """A tool's signed distance as a tricubic B-spline. Built by `surface_grid`.
+
+    Edges sharper than 2.5 cells are rounded. n is the gradient of the spline and therefore only
+    nearly a unit vector. Facets larger than a cell show in n and H as they do in the file.
+
+    Parameters
+    ----------
+    low, high : (3,) array
+        Box in which the spline is the distance, mm. Beyond it, d is that of the nearest point of
+        the box plus √(s² + h²) - h with the distance s to the box and the spacing h: continuous,
+        with a kink at the box, and negative only close to where the box cuts through the tool.
+    spacing : float
+        h, mm.
+    coefficients : (nx, ny, nz) array
+        Of the B-spline; the first belongs to low - PAD h.
+    deviation : float
+        Largest |d| at the centres of the surface's triangles, mm.
+    """
+
+    low: FloatArray
+    high: FloatArray
+    spacing: float
+    coefficients: FloatArray = field(repr=False)
+    deviation: float = 0.0
+
+    @property
+    def box(self) -> FloatArray:
+        """(2, 3) corners of the box."""
+        return np.stack([self.low, self.high])
+
+    def distance(self, points: FloatArray) -> Distance:
+        """Signed distance d (m,), gradient (m, 3) and second derivative (m, 3, 3) at (m, 3)."""
+        nearest = np.clip(points, self.low, self.high)
+        parts = [self._spline(nearest[i : i + CHUNK]) for i in range(0, len(points), CHUNK)]
+        d, n, H = map(np.concatenate, zip(*parts, strict=True)) if parts else self._spline(nearest)
+        arm = points - nearest
+        beyond = arm != 0
+        length = np.sqrt((arm**2).sum(1) + self.spacing**2)
+        m = arm / length[:, None]
+        d += length - self.spacing
+        n = np.where(beyond, m, n)
+        H *= ~(beyond[:, :, None] | beyond[:, None, :])
+        across = beyond[:, :, None] * np.eye(3) - m[:, :, None] * m[:, None, :]
+        return d, n, H + across / length[:, None, None]
+
+    def _spline(self, points: FloatArray) -> Distance:
+        _, ny, nz = self.coefficients.shape
+        strides = np.array([ny * nz, nz, 1])
+        u = (points - self.low).T / self.spacing + PAD
+        cell = np.floor(u).astype(int)
+        t = u - cell
+        four = np.arange(-1, 3)
+        cube = np.add.outer(np.add.outer(four * strides[0], four * strides[1]), four * strides[2])
+        C = self.coefficients.ravel()[cube[..., None] + strides @ cell]
+        one, zero, h = np.ones_like(t), np.zeros_like(t), self.spacing
+        powers = [
+            np.stack([one, t, t**2, t**3]),
+            np.stack([zero, one, 2 * t, 3 * t**2]) / h,
+            np.stack([zero, zero, 2 * one, 6 * t]) / h**2,
+        ]
+        # B[order of derivative, coefficient, axis, point]
+        B = np.stack([np.tensordot(_POWERS.T, p, 1) for p in powers])
+        D = np.einsum("xyzm,czm->cxym", C, B[:, :, 2])
+        D = np.einsum("cxym,bym->bcxm", D, B[:, :, 1])
+        D = np.einsum("bcxm,axm->abcm", D, B[:, :, 0])
+        n = [D[1, 0, 0], D[0, 1, 0], D[0, 0, 1]]
+        xy, yz, zx = D[1, 1, 0], D[0, 1, 1], D[1, 0, 1]
+        H = [[D[2, 0, 0], xy, zx], [xy, D[0, 2, 0], yz], [zx, yz, D[0, 0, 2]]]
+        return D[0, 0, 0], np.stack(n, -1), np.moveaxis(np.array(H), -1, 0)
+
+
+def from_file(
+    path: str | Path,
+    low: FloatArray,
+    high: FloatArray,
+    spacing: float | None = None,
+    *,
+    scale: float = 1.0,
+    flip: bool = False,
+    rotate: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    reach: float | None = None,
+) -> SurfaceGrid:
+    """Return the smooth signed distance of a tool in a file: `placed`, then `surface_grid`.
+
+    Raises
+    ------
+    InputError
+        As these, naming the file.
+    """
+    vertices, triangles, _ = placed_and_told(path, scale, flip, rotate, origin)
+    with naming(path):
+        return surface_grid(vertices, triangles, low, high, spacing, reach, scale, flip)
+
+
+def placed_and_told(
+    path: str | Path,
+    scale: float = 1.0,
+    flip: bool = False,
+    rotate: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> tuple[FloatArray, np.ndarray, list[str]]:
+    """Read a surface, mend it and put it in the tool's frame.
+
+    A point p of the file comes to R (scale p - origin), R turning about the fixed axes x, y, z.
+
+    Parameters
+    ----------
+    path : path
+    scale : float
+        mm per unit of the file.
+    flip : bool
+        Turns the normals round.
+    rotate : (3,) floats
+        Degrees about the fixed axes x, y, z, in this order.
+    origin : (3,) floats
+        Point of the file, mm (after scaling, before rotating), that becomes the tool's origin.
+
+    Returns
+    -------
+    vertices, triangles, repairs
+        As `read_repaired`.
+    """
+    vertices, triangles, repairs = read_repaired(path, scale)
+    vertices = Rotation.from_euler("xyz", rotate, degrees=True).apply(vertices - origin)
+    return vertices, triangles[:, ::-1] if flip else triangles, repairs
+
+
+def moved_origin(
+    rotate: tuple[float, float, float], origin: tuple[float, float, float], dx: float, dy: float
+) -> str:
+    """The `origin` that moves a placed surface by -dx and -dy (mm), as a line of a scene file."""
+    turned_back = Rotation.from_euler("xyz", rotate, degrees=True).inv().apply([dx, dy, 0.0])
+    return "origin = [{:.4g}, {:.4g}, {:.4g}]".format(
+        *(np.round(np.add(origin, turned_back), 6) + 0.0)
+    )
+
+
+def doubts(
+    vertices: FloatArray,
+    triangles: np.ndarray,
+    role: str,
+    rotate: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    flip: bool = False,
+) -> list[str]:
+    """What makes an open surface look upside down or inside out, and the line that mends it.
+
+    Parameters
+    ----------
+    vertices, triangles : (n, 3) and (m, 3) array
+        In the tool's frame, mm.
+    role : "punch", "holder" or "die"
+        The first two face down, to the sheet, the die up.
+    rotate, flip
+        As applied already.
+    """
+    edges, count, _ = edges_of(triangles)
+    loops = loops_of(vertices, edges[count == 1])
+    if not loops:
+        return []
+    # turned by another 180 degrees about x, which reverses the turns about y and z
+    over = np.array([180.0 - (-rotate[0] % 360), -rotate[1], -rotate[2]]) + 0.0
+    upside_down = "rotate = [{:g}, {:g}, {:g}]".format(*over)
+    turn_inside_out = f"flip = {str(not flip).lower()}"
+    z = vertices[:, 2] - vertices[:, 2].min()
+    height = z.max()
+    if role == "punch" and height > 1e-3 * np.ptp(vertices) and z[loops[0]].mean() < 0.1 * height:
+        return [f"the surface is open towards the sheet: upside down? {upside_down}"]
+    up = normals_of(vertices[triangles])[:, 2].sum()
+    if up * (1 if role == "die" else -1) < 0:
+        return [
+            f"its normals point away from the sheet: inside out? {turn_inside_out}; or upside "
+            f"down? {upside_down}"
+        ]
+    return []
+
+
+def check_size(size: float, reach: float, scale: float = 1.0) -> None:
+    """Refuse a tool of a size that only a wrong unit explains.
+
+    Parameters
+    ----------
+    size, reach : float
+        Of the tool and of the blank, mm.
+    scale : float
+        mm per unit of the file, as applied already.
+
+    Raises
+    ------
+    InputError
+        Naming the units that would explain it.
+    """
+    if not reach / 50 <= size <= reach * 50:
+        raise InputError(
+            f"the tool is {size:.3g} mm across (scale = {scale:g}) beside a sheet of "
+            f"{reach:.3g} mm: {likely_unit(size / scale, reach)}"
+        )
+
+
+def likely_unit(size: float, reach: float) -> str:
+    """Which scale brings a tool of `size` units nearest to `reach` (mm), in words."""
+    known = {unit: mm for unit, mm in UNITS.items() if reach / 12 < mm * size < 2 * reach}
+    near = sorted(known, key=lambda unit: abs(np.log(known[unit] * size / reach)))
+    if not near:
+        return "check scale, the mm per unit of the file"
+    return "is the file in " + ", or in ".join(
+        f"{unit}? set scale = {known[unit]:g} ({known[unit] * size:.3g} mm)" for unit in near[:2]
+    )
+
+
+def check_surface(
+    vertices: FloatArray,
+    triangles: np.ndarray,
+    low: FloatArray | None = None,
+    high: FloatArray | None = None,
+    reach: float | None = None,
+    scale: float = 1.0,
+    flip: bool = False,
+) -> None:
+    """Check that a surface has one size, one outside and no holes where the sheet can be.
+
+    A surface may be open at one outer boundary. Holes are allowed outside the box.
+
+    Parameters
+    ----------
+    vertices, triangles : (n, 3) and (m, 3) array
+        mm.
+    low, high : (3,) array, optional
+        Box in which the sheet can be, mm; by default everywhere.
+    reach : float, optional
+        Size of the blank, mm, for the check of units.
+    scale, flip : float, bool
+        As applied already, for the messages.
+
+    Raises
+    ------
+    InputError
+        Naming the defect and where it is.
+    """
+    check_numbers(vertices, triangles)
+    if reach is not None:
+        check_size(np.ptp(vertices[triangles].reshape(-1, 3), axis=0).max(), reach, scale)
+    edges, count, turns = edges_of(triangles)
+    _refuse(vertices, edges[count > 2], "shared by more than two triangles")
+    opposite = (count == 2) & (turns != 0)
+    _refuse(vertices, edges[opposite], "between triangles with opposite normals")
+    corners = vertices[triangles] - vertices.mean(0)
+    if (count == 2).all() and np.linalg.det(corners).sum() < 0:
+        raise InputError(f"the normals point inwards: set flip = {str(not flip).lower()}")
+    for loop in holes_of(vertices, triangles):
+        start, end = vertices[loop[:, 0]], vertices[loop[:, 1]]
+        along = start + np.linspace(0.0, 1.0, 20)[:, None, None] * (end - start)
+        if low is None or high is None or ((along > low) & (along < high)).all(-1).any():
+            raise InputError(
+                f"a hole of {len(loop)} edges, {np.ptp(start, axis=0).max():.3g} mm across, around "
+                f"{position(start.mean(0))}: close it ({REMEDY})"
+            )
+
+
+def surface_grid(
+    vertices: FloatArray,
+    triangles: np.ndarray,
+    low: FloatArray,
+    high: FloatArray,
+    spacing: float | None = None,
+    reach: float | None = None,
+    scale: float = 1.0,
+    flip: bool = False,
+) -> SurfaceGrid:
+    """Return the smooth signed distance of a surface, checked.
+
+    Parameters
+    ----------
+    vertices, triangles : (n, 3) and (m, 3) array
+        In the tool's frame, mm.
+    low, high : (3,) array
+        Box in which the sheet can be, mm. The grid covers it as far as the tool's surroundings.
+    spacing : float, optional
+        Of the grid, mm, by default 2: at most 0.4 of the smallest radius that matters.
+    reach : float, optional
+        Size of the blank, mm, by default that of the box, for the check of units.
+    scale, flip : float, bool
+        As applied already, for the messages.
+
+    Raises
+    ------
+    InputError
+        As `check_surface`; when the tool is nowhere near the box; when the grid is too large, or
+        too coarse for the tool.
+    """
+    h = check_number("spacing", SPACING if spacing is None else spacing)
+    reach = float(np.ptp([low, high], axis=0).max()) if reach is None else reach
+    check_surface(vertices, triangles, low, high, reach, scale, flip)
+    margin = max(10.0, MARGIN * h)
+    low = np.maximum(low, vertices.min(0) - margin)
+    high = np.minimum(high, vertices.max(0) + margin)
+    if (low >= high).any():
+        box = " to ".join(position(end) for end in (vertices.min(0), vertices.max(0)))
+        raise InputError(
+            f"the tool is nowhere near the sheet, it spans {box}: check origin, rotate and scale"
+        )
+    cells = np.ceil(((high - low) / h + 2 * PAD) / 9).astype(int)
+    if (nodes := np.prod(9.0 * cells + 1.0)) > MOST_NODES:
+        at_least = h * (nodes / MOST_NODES) ** (1 / 3)
+        raise InputError(f"grid of {nodes:.1e} nodes: set spacing = {at_least:.2g} or more")
+    first = low - PAD * h
+    edges, count, _ = edges_of(triangles)
+    surface = (vertices, triangles, edges[count == 1])
+    for step in (9, 3, 1):
+        shape = cells * 9 // step + 1
+        if step == 9:
+            d, near = np.zeros(shape), np.arange(np.prod(shape))
+        else:
+            d = zoom(d, shape / d.shape, mode="nearest")
+            near = np.flatnonzero(np.abs(d) < BAND * step * h)
+        for part in np.array_split(near, len(near) // 500_000 + 1):
+            nodes = np.stack(np.unravel_index(part, shape), -1) * (step * h) + first
+            d.flat[part] = _signed_distance(nodes, *surface)
+    grid = SurfaceGrid(low, high, h, spline_filter(d, mode="mirror"))
+    return replace(grid, deviation=_deviation(grid, vertices, triangles))
+
+
+def _deviation(grid: SurfaceGrid, vertices: FloatArray, triangles: np.ndarray) -> float:
+    """Largest |d| at the triangles' centres; n must point along the normals of nearly all."""
+    corners = vertices[triangles]
+    centres, normals = corners.mean(1), normals_of(corners)
+    covered = ((centres > grid.low) & (centres < grid.high)).all(1)
+    if not covered.any():
+        return 0.0
+    centres, normals = centres[covered], normals[covered]
+    d, n, _ = grid.distance(centres)
+    area = np.linalg.norm(normals, axis=1)
+    lost = np.where(np.einsum("pi,pi->p", n, normals) < LOST * area, area, 0.0)
+    if lost.sum() > 0.01 * area.sum():
+        raise InputError(
+            f"walls, gaps or bodies in each other that a grid of {grid.spacing:g} mm cannot show, "
+            f"for one at {position(centres[lost.argmax()])}: set a smaller spacing"
+        )
+    return float(np.abs(d).max())
+
+
+def _signed_distance(
+    points: FloatArray, vertices: FloatArray, triangles: np.ndarray, rim: np.ndarray
+) -> FloatArray:
+    """Exact signed distance (m,) of points (m, 3) to the triangles; rim: (k, 2) edges."""
+    igl = optional("igl", "surface", "a tool from a file needs libigl")
+    if len(rim) == 0:
+        # the sign alone: libigl scales the distance by 1 - 2 |winding number|
+        side, _, foot, _ = igl.signed_distance(
+            points, vertices, triangles, igl.SIGNED_DISTANCE_TYPE_FAST_WINDING_NUMBER
+        )
+        return np.copysign(np.linalg.norm(points - foot, axis=1), side)
+    d, _, foot, normal = igl.signed_distance(
+        points, vertices, triangles, igl.SIGNED_DISTANCE_TYPE_PSEUDONORMAL
+    )
+    to_rim = np.sqrt(igl.point_mesh_squared_distance(foot, vertices, rim)[0])
+    behind = np.minimum(np.einsum("pi,pi->p", points - foot, normal), 0.0)
+    from_wall = np.sqrt(np.maximum(d**2 - behind**2, 0.0))
+    on_rim = to_rim < AT_RIM * np.ptp(vertices)
+    return np.where(on_rim, from_wall, np.where(d < 0, -np.minimum(-d, to_rim), d))
+
+
+def _refuse(vertices: FloatArray, edges: np.ndarray, what: str) -> None:
+    if n := len(edges):
+        at = position(vertices[edges[0]].mean(0))
+        raise InputError(f"{n} edge{'s' * (n > 1)} {what}, one at {at}: {REMEDY}")

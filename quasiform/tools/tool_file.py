@@ -1,0 +1,240 @@
+"""A tool from a surface file: placed over the sheet, told of in words, and doubted.
+
+What a file holds may be upside down, inside out, elsewhere, or in another unit. The model says
+where it lies and, where it cannot be meant so, which line of the scene mends it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from scipy.ndimage import label
+
+from ..checks import InputError
+from ..scenes.scene_file import SurfaceFile, ToolPart
+from . import grid as surface
+from .shapes import Tool
+
+FloatArray = np.ndarray
+SMALL = 0.2  # of an opening: a narrower punch is told of
+SAMPLES = 60  # points a side of the grid on which an opening is looked for
+
+
+@dataclass(frozen=True)
+class ToolFile:
+    """A tool's surface as it was read.
+
+    Parameters
+    ----------
+    part : ToolPart
+        Of the scene file; its shape is a `SurfaceFile`.
+    thickness : float
+        Of the sheet, mm.
+    grid : SurfaceGrid
+        Its distance, where the sheet can be.
+    vertices : (n, 3) array
+        Placed, mended, in the tool's own z, mm.
+    n_triangles : int
+    repairs, doubts : list of str
+        What was mended; what it may be instead, with the line that mends it.
+    """
+
+    part: ToolPart
+    thickness: float
+    grid: surface.SurfaceGrid
+    vertices: FloatArray
+    n_triangles: int
+    repairs: list[str]
+    doubts: list[str]
+
+    @property
+    def file(self) -> SurfaceFile:
+        """Where it comes from."""
+        return self.part.shape
+
+    @property
+    def name(self) -> str:
+        """Name of the file."""
+        return self.file.path.name
+
+    @property
+    def down(self) -> bool:
+        """Whether its lowest point meets the sheet, as that of a punch, or its highest."""
+        return self.part.role != "die"
+
+    @property
+    def box(self) -> FloatArray:
+        """(2, 3) corners: x and y in space, z its own, mm."""
+        box = np.stack([self.vertices.min(0), self.vertices.max(0)])
+        box[:, :2] += self.part.place
+        return box
+
+    @property
+    def rest(self) -> float:
+        """The z at which it touches the flat sheet, mm."""
+        low, high = self.box[:, 2]
+        return float(self.thickness - low if self.down else -high)
+
+    def told(
+        self, tools: Sequence[Tool], outline: shapely.Polygon, travel: float
+    ) -> list[tuple[str, str]]:
+        """Lines of the model: what the file holds, where it lies, what was mended, doubts."""
+        part, box = self.part, self.box
+        z = -self.vertices[:, 2] if self.down else self.vertices[:, 2]
+        ends = self.vertices[z > z.max() - 1e-6 * np.ptp(self.vertices)]
+        end = ends[np.linalg.norm(ends - ends.mean(0), axis=1).argmin()]
+        gap = 0.0 if part.z is None else (part.z - self.rest) * (1 if self.down else -1)
+        where = "on" if self.down else "under"
+        if abs(gap) > 1e-9:
+            side = "over" if (gap > 0) == self.down else "under"
+            where = f"{abs(gap):.3g} mm {side} the {'upper' if self.down else 'lower'} face of"
+        lines = [
+            (
+                f"{part.name} from {self.name}",
+                "{:.4g} x {:.4g} x {:.4g} mm".format(*np.ptp(box, axis=0))
+                + f", {self.n_triangles} triangles, its middle at {_at(box.mean(0))}, its "
+                f"{'lowest' if self.down else 'highest'} point at {_at(end[:2] + part.place)}, "
+                f"{where} the sheet",
+            )
+        ]
+        if self.repairs:
+            lines.append((f"{self.name} repaired", "; ".join(self.repairs)))
+        doubts = [*self.doubts, *self._lost_in_opening(tools, outline, travel)]
+        return lines + [(f"warning, {self.name}", doubt) for doubt in doubts]
+
+    def _lost_in_opening(
+        self, tools: Sequence[Tool], outline: shapely.Polygon, travel: float
+    ) -> list[str]:
+        """Warn of a punch that is small in the opening under it."""
+        if self.part.motion != "driven":
+            return []
+        box, told = self.box, []
+        size, middle = np.ptp(box[:, :2], axis=0).max(), box.mean(0)
+        low_x, low_y, high_x, high_y = outline.bounds
+        x, y = np.linspace(low_x, high_x, SAMPLES), np.linspace(low_y, high_y, SAMPLES)
+        level = np.full((SAMPLES, SAMPLES), -travel / 2)
+        points = np.stack([*np.meshgrid(x, y, indexing="ij"), level], axis=-1)
+        for die in (tool for tool in tools if tool.motion == "fixed"):
+            clear = die.gap(points.reshape(-1, 3)).reshape(SAMPLES, SAMPLES) > 0
+            regions = label(clear)[0]
+            under = regions[np.abs(x - middle[0]).argmin(), np.abs(y - middle[1]).argmin()]
+            opening = regions == under
+            rim = np.concatenate([opening[[0, -1]].ravel(), opening[:, [0, -1]].ravel()])
+            if under == 0 or rim.any():
+                continue
+            width = np.ptp(points[opening][:, :2], axis=0).max()
+            if size < SMALL * width:
+                scale = self.file.scale
+                told.append(
+                    f"{size:.3g} mm wide (scale = {scale:g}) in an opening of about {width:.2g} "
+                    f"mm: {surface.likely_unit(size / scale, width)}"
+                )
+        return told
+
+    def why_inside(self) -> str:
+        """What may have put it into the flat sheet, and what mends it."""
+        if self.doubts:
+            return f"{self.name}: {self.doubts[0]}"
+        flip = f"set flip = {str(not self.file.flip).lower()}"
+        if self.part.z is None:
+            return flip
+        where = "on" if self.down else "under"
+        return f"check its z, {self.rest:.4g} puts it {where} the sheet, or {flip}"
+
+
+def read(part: ToolPart, outline: shapely.Polygon, travel: float, thickness: float) -> ToolFile:
+    """Read the surface of a tool, and its distance where the sheet can be.
+
+    Parameters
+    ----------
+    part : ToolPart
+    outline : Polygon
+        Of the flat blank.
+    travel : float
+        Largest travel of the scene, mm.
+    thickness : float
+        Of the sheet, mm.
+
+    Raises
+    ------
+    InputError
+        For a file that cannot be read or mended, that lies nowhere near the sheet, or whose size
+        tells of another unit.
+    """
+    given = part.shape
+    reach = np.full(2, 1.1 * max(np.abs(outline.bounds)))
+    vertices, triangles, repairs = surface.placed_and_told(
+        given.path, given.scale, given.flip, given.rotate, given.origin
+    )
+    bottom, top = float(vertices[:, 2].min()), float(vertices[:, 2].max())
+    # the sheet is between the punch's lowest point and the die's face
+    deep, margin = travel + 4 * thickness, 10.0
+    low, high = {
+        "punch": (bottom - margin, bottom + deep + margin),
+        "die": (top - deep - margin, top + margin),
+        "holder": (bottom - deep - margin, bottom + margin),
+    }[part.role]
+    across = float(np.ptp(np.reshape(outline.bounds, (2, 2)), axis=0).max())
+    with surface.naming(given.path):
+        surface.check_size(np.ptp(vertices, axis=0).max(), across, given.scale)
+        _check_over_sheet(vertices[:, :2] + part.place, given, outline, reach)
+        grid = surface.surface_grid(
+            vertices,
+            triangles,
+            np.append(-reach - part.place, low),
+            np.append(reach - part.place, high),
+            given.spacing,
+            across,
+            given.scale,
+            given.flip,
+        )
+    doubts = surface.doubts(vertices, triangles, part.role, given.rotate, given.flip)
+    return ToolFile(part, thickness, grid, vertices, len(triangles), repairs, doubts)
+
+
+def why_tight(driven: Tool, fixed: Tool, files: Mapping[str, ToolFile], thickness: float) -> str:
+    """What is odd about tools from files that leave no room, and the line that mends it."""
+    named = [name for name in (driven.name, fixed.name) if name in files]
+    for name in named:
+        if files[name].doubts:
+            return f"; {files[name].name}: {files[name].doubts[0]}"
+    middles = [
+        files[tool.name].box.mean(0)[:2] if tool.name in files else np.array(tool.place)
+        for tool in (driven, fixed)
+    ]
+    off = middles[0] - middles[1]
+    if not named or np.linalg.norm(off) < thickness:
+        return ""
+    given = files[named[0]].file
+    shift = off if named[0] == driven.name else -off
+    origin = surface.moved_origin(given.rotate, given.origin, *shift)
+    return (
+        f"; the middle of the {driven.name} is at {_at(middles[0])}, that of the {fixed.name} at "
+        f"{_at(middles[1])}; for the {named[0]}, {origin} brings them together"
+    )
+
+
+def _check_over_sheet(
+    plan: FloatArray, given: SurfaceFile, outline: shapely.Polygon, reach: FloatArray
+) -> None:
+    low, high = plan.min(0), plan.max(0)
+    beside = max(10.0, surface.MARGIN * (given.spacing or surface.SPACING))
+    if (low - beside < reach).all() and (high + beside > -reach).all():
+        return
+    low_x, low_y, high_x, high_y = outline.bounds
+    off = (low + high) / 2 - [(low_x + high_x) / 2, (low_y + high_y) / 2]
+    raise InputError(
+        f"the tool is nowhere near the sheet: it lies at x {low[0]:.4g} to {high[0]:.4g}, "
+        f"y {low[1]:.4g} to {high[1]:.4g} mm, the sheet at x {low_x:.4g} to {high_x:.4g}, "
+        f"y {low_y:.4g} to {high_y:.4g} mm; "
+        f"{surface.moved_origin(given.rotate, given.origin, *off)} puts it over the middle of the "
+        "sheet"
+    )
+
+
+def _at(point: FloatArray) -> str:
+    # a rounding error is no coordinate
+    return "({:.4g}, {:.4g})".format(*(np.round(point[:2], 3) + 0.0))
