@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from .solve import Journal, Progress, refine, solve, spread
     from .tools.shapes import Tool
 
-_MODULES = {  # a public name is imported from its module when it is first used
+_MODULES = {  # where each public name is; its module is imported when the name is first used
     "Blank": "net.blank",
     "Comparison": "comparison",
     "Fabric": "fabric",
@@ -54,19 +54,18 @@ _MODULES = {  # a public name is imported from its module when it is first used
     "progress": "console.progress",
     "rectangle": "net.blank",
     "refine": "solve",
-    "solve": "",
+    "solve": "solve",
     "spread": "solve",
 }
-__all__ = list(_MODULES)  # noqa: PLE0605
+__all__ = list(_MODULES)
 
 
 def __getattr__(name: str) -> object:
     if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    if name == "solve":  # a module that is called like a function
-        return _import_module(".solve", __name__)
-    value = getattr(_import_module(f".{_MODULES[name]}", __name__), name)
-    globals()[name] = value
+    module = _import_module(f".{_MODULES[name]}", __name__)
+    # the package `solve` is called like its function, whose place it would take when imported
+    value = globals()[name] = module if name == "solve" else getattr(module, name)
     return value
 
 

@@ -30,20 +30,12 @@ import quasiform as qf
 from ..checks import InputError, check_number, suggestion
 from . import terminal
 
-
-def _version() -> str:
-    from ..result.run import package_version
-
-    return f"quasiform {package_version()}"
-
-
 app = App(
     name="quasiform",
     help="Implicit, quasi-static forming of dry 0°/90° biaxial non-crimp fabrics.",
-    help_epilogue="Lengths in mm, forces in N, angles in degrees. Exit status: 0 completed, 1 a band "
-    "missed, 2 wrong input, 3 stopped early.",
+    help_epilogue="Lengths in mm, forces in N, angles in degrees. Exit status: 0 completed, 1 a "
+    "band missed, 2 wrong input, 3 stopped early.",
     help_format="plaintext",
-    version=_version,
     default_parameter=Parameter(negative=(), json_list=False, json_dict=False),
     suppress_keyboard_interrupt=False,
 )
@@ -52,37 +44,34 @@ app.register_install_completion_command(help="Let the shell complete commands an
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit status."""
-    words = sys.argv[1:] if argv is None else list(argv)
+    words, status = sys.argv[1:] if argv is None else list(argv), 2
     try:
         if not words:
             names = [name for name in app if not name.startswith("-")]
             raise InputError(f"expected a command: {' or '.join(names)} (see --help)")
-        status = app(words, print_error=False, exit_on_error=False, result_action="return_value")
-        return status or 0
+        done = app(words, print_error=False, exit_on_error=False, result_action="return_value")
+        return done or 0
     except CycloptsError as error:
-        return _refused(_one_line(error))
+        message = str(InputError(_one_line(error)))
     except InputError as error:
-        return _refused(str(error))
+        message = str(error)
     except MemoryError:
-        return _refused("not enough memory: choose a larger --size")
+        message = "not enough memory: choose a larger --size"
     except KeyboardInterrupt:
-        return _refused("interrupted: only what was written before is kept", 3)
-
-
-def _refused(message: str, status: int = 2) -> int:
-    print("quasiform:", " ".join(message.split()), file=sys.stderr)
+        message, status = "interrupted: only what was written before is kept", 3
+    print("quasiform:", message, file=sys.stderr)
     return status
 
 
 def _one_line(error: CycloptsError) -> str:
-    """Message for wrong words; where none is near, it lists the options that exist."""
+    """What is wrong, and what was probably meant; where nothing is near, what there is."""
     if isinstance(error, UnknownOptionError):
-        names = [name for argument in error.argument_collection for name in argument.names]
+        names = [n for a in error.argument_collection for n in a.names if n.startswith("-")]
         option = error.token.keyword or error.token.value
-        return str(InputError(f"unknown option '{option}': {suggestion(option, names)}"))
+        return f"unknown option '{option}': {suggestion(option, names)}"
     if isinstance(error, UnusedCliTokensError) and error.unused_tokens:
-        return str(InputError(f"unexpected argument '{error.unused_tokens[0]}'"))
-    return str(InputError(str(error)))
+        return f"unexpected argument '{error.unused_tokens[0]}'"
+    return str(error)
 
 
 # How the words of an option are read
@@ -189,8 +178,8 @@ Columns = Annotated[
     word(_pairs("quantity", "records", str, "NAME=WORD,... such as force=3"), "NAME=WORD,..."),
 ]
 Discs = Annotated[list[tuple[str, Any]], word(_disc, "NAME=X,Y,RADIUS")]
-MESH = Group("Mesh: one of these at most", validator=LimitedChoice())
-PRODUCT = Group("What to write: one of these", validator=LimitedChoice(1))
+MESH = Group("Mesh", validator=LimitedChoice())
+PRODUCT = Group("What to write", validator=LimitedChoice(1))
 
 
 @Parameter(name="*")
@@ -198,10 +187,10 @@ PRODUCT = Group("What to write: one of these", validator=LimitedChoice(1))
 class Output:
     """Where a command writes."""
 
-    out: Annotated[Folder | None, about("Folder of the result (a new one of the case's name).")] = (
-        None
-    )
-    force: Annotated[bool, about("Replace the result in --out.")] = False
+    out: Folder | None = None
+    """Folder of the result; by default a new one, named after the case."""
+    force: bool = False
+    """Replace the result in --out."""
 
     def folder(self, name: str, files: Sequence[str]) -> Path:
         """Folder to write to; refused where it holds one of the files."""
@@ -221,37 +210,30 @@ class Output:
 class Solver(Output):
     """How a model is solved."""
 
-    increment: Annotated[Length | None, about("Travel of an increment (the program's choice).")] = (
-        None
-    )
-    dry_run: Annotated[bool, about("Print model and expected time; solve and write nothing.")] = (
-        False
-    )
-    linear: Annotated[
-        Literal["auto", "pardiso", "superlu", "amg"], about("Linear solver, for experts.")
-    ] = "auto"
+    increment: Length | None = None
+    """Travel of an increment; by default the program chooses it."""
+    dry_run: bool = False
+    """Print the model and the expected time; solve and write nothing."""
+    linear: Literal["auto", "pardiso", "superlu", "amg"] = "auto"
+    """Linear solver, for experts."""
 
 
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """What can be changed of a forming scene."""
+    """What can be changed of a forming scene; by default its own values."""
 
-    orientation: Annotated[Angle | None, about("Angle from x to the warp (the scene's).")] = None
-    law: Annotated[Law | None, about("locking, best-fit or FILE.toml (the scene's).")] = None
-    size: Annotated[
-        Length | None,
-        about(
-            "Spacing of the fibre lines, for the whole path (without it the end at the scene's "
-            "size, or 5, and the path on a coarser mesh).",
-            group=MESH,
-        ),
-    ] = None
-    travel: Annotated[Length | None, about("Travel of the punch (the scene's).")] = None
-    symmetry: Annotated[
-        Literal["auto", "none"] | None,
-        about("Model a half or a quarter where everything is mirrored, or the whole (auto)."),
-    ] = None
+    orientation: Angle | None = None
+    """Angle from x to the warp."""
+    law: Law | None = None
+    """Fabric: locking, best-fit or FILE.toml."""
+    size: Annotated[Length | None, Parameter(group=MESH)] = None
+    """Spacing of the fibre lines. `form` then follows the whole path on this mesh; by default the
+    end is solved at the scene's size, or 5, and the path on a coarser mesh."""
+    travel: Length | None = None
+    """Travel of the punch."""
+    symmetry: Literal["auto", "none"] | None = None
+    """Model a half or a quarter where everything is mirrored (auto), or always the whole."""
 
 
 @app.command
@@ -294,33 +276,34 @@ def form(
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class Tests:
-    """What tests are, and what is identified from them."""
+    """What the tests are, and what is identified from them."""
 
-    method: Annotated[Literal["fit", "inverse", "table"] | None, about("(the file's, or fit)")] = (
-        None
-    )
-    keep: Annotated[
-        Keep | None, about("Parameters that are not fitted, such as C_lo=1000,I_lo=0.819.")
-    ] = None
-    algorithm: Annotated[
-        Literal["least-squares", "nelder-mead"] | None, about("Of the fit (least-squares).")
-    ] = None
-    name: Annotated[str | None, about("Of the fabric (the file's).")] = None
-    kind: Annotated[
-        Literal["off-axis", "picture-frame"] | None, about("Test in a CSV file (off-axis).")
-    ] = None
-    angle: Annotated[Degrees | None, about("Angle between load and warp (45).")] = None
-    length: Annotated[Length | None, about("Free length of the strip (320).")] = None
-    width: Annotated[Length | None, about("Width of the strip (160).")] = None
-    side: Annotated[Length | None, about("Side of the picture frame (100).")] = None
-    thickness: Annotated[Length | None, about("Of the fabric (1.004).")] = None
-    size: Annotated[Length | None, about("Method inverse: cell edge of its mesh (14).")] = None
-    columns: Annotated[
-        Columns | None, about('Headings or positions: displacement="Position(mm)",force=3.')
-    ] = None
-    units: Annotated[
-        Columns | None, about("Instead of those that a file states: displacement=inch,force=kN.")
-    ] = None
+    method: Literal["fit", "inverse", "table"] | None = None
+    """By default the file's, or fit."""
+    keep: Keep | None = None
+    """Parameters that are not fitted, such as C_lo=1000,I_lo=0.819."""
+    algorithm: Literal["least-squares", "nelder-mead"] | None = None
+    """Of the fit (least-squares)."""
+    name: str | None = None
+    """Of the fabric; by default the file's."""
+    kind: Literal["off-axis", "picture-frame"] | None = None
+    """Kind of the test in a CSV file (off-axis)."""
+    angle: Degrees | None = None
+    """Angle between load and warp (45)."""
+    length: Length | None = None
+    """Free length of the strip (320)."""
+    width: Length | None = None
+    """Width of the strip (160)."""
+    side: Length | None = None
+    """Side of the picture frame (100)."""
+    thickness: Length | None = None
+    """Of the fabric (1.004)."""
+    size: Length | None = None
+    """Method inverse: cell edge of the finite-element test (14)."""
+    columns: Columns | None = None
+    """Headings or positions in a CSV file: displacement="Position(mm)",force=3."""
+    units: Columns | None = None
+    """Units in a CSV file, instead of those it states: displacement=inch,force=kN."""
 
 
 @app.command
@@ -354,49 +337,48 @@ def identify(
 class Reference:
     """How a reference is read and compared."""
 
-    field: Annotated[str | None, about("Field or column of the angle, or none.")] = None
-    angle: Annotated[
-        Literal["shear", "between"] | None, about("The shear angle, or that between the fibres.")
-    ] = None
-    radians: Annotated[bool, about("The angle is in radians.")] = False
-    signed: Annotated[bool, about("The sign of the angle counts.")] = False
-    orientation: Annotated[
-        Angle | None, about("From x to its warp, where only its displacements are known (0).")
-    ] = None
-    values: Annotated[File | None, about("CSV by node or element label for an .inp.")] = None
-    coordinates: Annotated[
-        Literal["formed", "flat"] | None, about("What the coordinates of the reference are.")
-    ] = None
-    history: Annotated[File | None, about("CSV of the reference's travel and force.")] = None
-    scale: Annotated[Factor | None, about("Its unit of length in mm (1).")] = None
-    force_factor: Annotated[
-        Factor | None, about("Of the reference's forces: 4 for those of a quarter (1).")
-    ] = None
-    travel: Annotated[Length | None, about("Where to compare (largest travel of both).")] = None
-    reference_travel: Annotated[
-        Length | None, about("Travel of its last state, where the file does not say.")
-    ] = None
-    within: Annotated[
-        Length | None, about("Points farther than this from the other sheet are not compared.")
-    ] = None
-    band_angle: Annotated[
-        Degrees | None, about("Largest difference of the shear angle on 95 % of the area.")
-    ] = None
-    band_outline: Annotated[Length | None, about("Largest distance of the outlines.")] = None
-    band_force: Annotated[Percent | None, about("Largest difference of the force.")] = None
-    by: Annotated[
-        Literal["auto", "flat", "formed"] | None, about("Coordinates that match points (auto).")
-    ] = None
-    align: Annotated[
-        Literal["none", "shift", "rigid"] | None, about("Shift or move it to where it fits best.")
-    ] = None
-    mirror: Annotated[
-        Literal["x", "y", "x,y"] | None, about("Unfold a half or a quarter at x = 0, y = 0.")
-    ] = None
-    standing: Annotated[
-        Literal["measured", "stated", "exact", "peer", "prototype", "inferred", "assumed", "own"],
-        about("Of the reference."),
+    field: str | None = None
+    """Field or column of the angle, or none."""
+    angle: Literal["shear", "between"] | None = None
+    """What it is: the shear angle (default), or the angle between the fibres."""
+    radians: bool = False
+    """The angle is in radians."""
+    signed: bool = False
+    """The sign of the angle counts."""
+    orientation: Angle | None = None
+    """Angle from x to the reference's warp, where only its displacements are known (0)."""
+    values: File | None = None
+    """CSV by node or element label for an .inp."""
+    coordinates: Literal["formed", "flat"] | None = None
+    """What the coordinates of the reference are."""
+    history: File | None = None
+    """CSV of the reference's travel and force."""
+    scale: Factor | None = None
+    """Unit of the reference's lengths in mm (1)."""
+    force_factor: Factor | None = None
+    """Of the reference's forces: 4 for those of a quarter (1)."""
+    travel: Length | None = None
+    """Where to compare; by default at the largest travel of both."""
+    reference_travel: Length | None = None
+    """Travel of the reference's last state, where its file does not give it."""
+    within: Length | None = None
+    """Points farther than this from the other sheet are not compared."""
+    band_angle: Degrees | None = None
+    """Largest difference of the shear angle on 95 % of the area."""
+    band_outline: Length | None = None
+    """Largest distance of the outlines."""
+    band_force: Percent | None = None
+    """Largest difference of the force."""
+    by: Literal["auto", "flat", "formed"] | None = None
+    """Coordinates by which points are matched; auto: flat if both have them."""
+    align: Literal["none", "shift", "rigid"] | None = None
+    """Shift, or shift and rotate, the reference to where it fits best."""
+    mirror: Literal["x", "y", "x,y"] | None = None
+    """Unfold the reference, a half or a quarter, at x = 0, y = 0 or both."""
+    standing: Literal[
+        "measured", "stated", "exact", "peer", "prototype", "inferred", "assumed", "own"
     ] = "peer"
+    """Standing of the reference."""
 
 
 @app.command
@@ -507,7 +489,7 @@ def plot(
         Degrees | None, about("End of the colour scale (above all shear and locking angles).")
     ] = None,
     animate: Annotated[
-        Literal["gif", "mp4"] | None, about("The travel as an animation (mp4 needs ffmpeg).")
+        Literal["gif", "mp4"] | None, about("Animate the travel (mp4 needs ffmpeg).")
     ] = None,
     output: Output = Output(),
 ) -> int:
@@ -611,7 +593,7 @@ def validate(
     quick: Annotated[bool, about("The quick suite: under 5 minutes.")] = False,
     output: Output = Output(),
 ) -> int:
-    """Run the validation suite of a clone; status 1 if a band was missed, or something is missing."""
+    """Run the validation suite of a clone; exit status 1 if a band was missed."""
     for folder in (Path.cwd(), Path(__file__).parents[2]):
         package = folder / "validation" / "__init__.py"
         if package.with_name("run.py").is_file() and (folder / "pyproject.toml").is_file():

@@ -1,15 +1,15 @@
-"""About how long a run will take, told before it is started.
+"""About how long a run will take, before it is started.
 
 One Newton step of the scene is timed here and now, on each mesh that will be solved; how many
 there will be is what runs of the built-in scenes took. That count is the rough part: a sheet that
-buckles takes many times as many as one that does not, and nobody knows before.
+buckles takes many times as many as one that does not, which nobody can know before.
 """
 
 from __future__ import annotations
 
 import time
 from contextlib import suppress
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,8 +27,7 @@ LEAST, MOST = 0.3, 6.0  # of the expected time: between them lay those 13 runs
 TIMED, LONG = 3, 2.0  # steps that are timed, unless the first takes so many seconds
 
 
-@dataclass(frozen=True)
-class Mesh:
+class Mesh(NamedTuple):
     """A mesh that will be solved: its size, mm, unknowns, linear solves, and s for each."""
 
     size: float
@@ -40,22 +39,10 @@ class Mesh:
 def meshes(
     scene: Scene, one_mesh: bool, linear: str = "auto", seeds: int = 0
 ) -> tuple[Mesh, ...] | None:
-    """Meshes that a run will solve, with what each is expected to take.
+    """Meshes that a run will solve; None where the scene has no tangent at its start.
 
-    Parameters
-    ----------
-    scene : Scene
-    one_mesh : bool
-        The whole path on the scene's mesh, as `solve`, or its end only, as `refine`.
-    linear : str
-        Linear solver.
-    seeds : int
-        Perturbed runs of the path after it.
-
-    Returns
-    -------
-    tuple of Mesh, or None
-        None where the scene has no tangent at its start, so that nothing can be timed.
+    With `one_mesh` the whole path is on the scene's mesh, as `solve` does, else its end only, as
+    `refine` does; `seeds` perturbed runs of the path come after it.
     """
     path = (WITH_TOOLS if scene.contacts else IN_PLANE) * max(scene.travel / scene.increment, 1.0)
     scenes = _coarser(scene, one_mesh)
@@ -65,8 +52,7 @@ def meshes(
         solves = [CARRIED] * (len(scenes) - 1) + [path]
         if len(scenes) == 1 and (coarse := _resized(scene, 2 * scene.size)):
             scenes, solves = [scene, coarse], [path, path]
-    followed = 0 if solves[0] == path else -1
-    solves[followed] += seeds * path
+    solves[0 if solves[0] == path else -1] += seeds * path
     try:
         return tuple(
             Mesh(one.size, int((~one.fixed).sum()), count, COST * _step(one, linear))
@@ -98,7 +84,7 @@ def _resized(scene: Scene, size: float) -> Scene | None:
 
 
 def words(found: tuple[Mesh, ...] | None) -> str:
-    """Return the expected time in words."""
+    """Return the expected time as text."""
     if found is None:
         return "not known: the scene has no tangent at its start"
     seconds = sum(mesh.solves * mesh.seconds for mesh in found)
@@ -111,7 +97,7 @@ def words(found: tuple[Mesh, ...] | None) -> str:
 
 
 def duration(seconds: float) -> str:
-    """Return a time in words, no sharper than it is known.
+    """Return a time as text, no sharper than it is known.
 
     Examples
     --------

@@ -66,9 +66,10 @@ def number(value: float, digits: int = 4) -> str:
 
 def describe(scene: Scene) -> str:
     """The model: its size, what is in it and what was left out, and why."""
+    blank = scene.blank
     return "\n".join(
         [
-            f"{scene.name}: {len(scene.blank.nodes)} nodes, {len(scene.blank.triangles)} triangles, "
+            f"{scene.name}: {len(blank.nodes)} nodes, {len(blank.triangles)} triangles, "
             f"{(~scene.fixed).sum()} dofs, travel {scene.travel:g} mm",
             f"  fabric: {scene.fabric.name}",
             *(f"  {entry}: {why}" for entry, why in scene.model),
