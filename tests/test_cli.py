@@ -114,8 +114,8 @@ def assert_refused(capsys, argv, *words):
         ("form missing.toml", ["missing.toml", "No such file"]),
         ("oat --law loking", ["unknown law 'loking'", "did you mean 'locking'?"]),
         ("oat --law missing.toml", ["missing.toml", "No such file"]),
-        ("oat --linear amgg", ["--linear", '"amgg"', 'Did you mean "amg"?']),
-        ("form hemisphere --symmetry non", ["--symmetry", '"non"', 'Did you mean "none"?']),
+        ("oat --linear amgg", ["--linear", "'amgg'", "did you mean 'amg'?"]),
+        ("form hemisphere --symmetry non", ["--symmetry", "'non'", "did you mean 'none'?"]),
         ("oat --sise 5", ["unknown option '--sise'", "did you mean '--size'?"]),
         ("oat --sym 5", ["unknown option '--sym'", "expected one of --angle"]),
         ("oat --dis 5", ["unknown option '--dis'"]),
@@ -704,7 +704,8 @@ def test_the_commands_of_the_readme_are_accepted(capsys, here):
     ]
     assert len(commands) >= 3
     for command in [*commands, "identify my-fabric.toml"]:
-        assert main([*shlex.split(command), "--dry-run"]) == 0, capsys.readouterr().err
+        words = shlex.split(command.replace("--dry-run", ""))
+        assert main([*words, "--dry-run"]) == 0, capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -806,7 +807,7 @@ def test_export_hands_over_what_a_run_left(here, capsys, undrawn):
     ("options", "words"),
     [
         (["run"], "Exactly 1 of {--to, --trim, --deck} must be specified"),
-        (["run", "--to", "calculx"], 'Did you mean "calculix"?'),
+        (["run", "--to", "calculx"], "did you mean 'calculix'?"),
         (["run", "--to", "csv"], "run: no such folder of a result"),
         (["run", "--to", "csv", "--reference", "0,0,0"], "expected X,Y,Z of a direction"),
         (["hemispere", "--deck"], "did you mean 'hemisphere'?"),

@@ -22,7 +22,7 @@ from time import perf_counter
 from typing import Annotated, Any, Literal, get_origin
 
 from cyclopts import App, CycloptsError, Group, Parameter, Token
-from cyclopts.exceptions import UnknownOptionError, UnusedCliTokensError
+from cyclopts.exceptions import CoercionError, UnknownOptionError, UnusedCliTokensError
 from cyclopts.validators import LimitedChoice, Number
 
 import quasiform as qf
@@ -39,7 +39,7 @@ app = App(
     default_parameter=Parameter(negative=(), json_list=False, json_dict=False),
     suppress_keyboard_interrupt=False,
 )
-app.register_install_completion_command(help="Let the shell complete commands and options.")
+app.register_install_completion_command(help="Add completion to your shell's startup file.")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -71,6 +71,10 @@ def _one_line(error: CycloptsError) -> str:
         return f"unknown option '{option}': {suggestion(option, names)}"
     if isinstance(error, UnusedCliTokensError) and error.unused_tokens:
         return f"unexpected argument '{error.unused_tokens[0]}'"
+    if isinstance(error, CoercionError) and error.argument and error.token and not error.msg:
+        if choices := error.argument.get_choices(force=True):
+            value = error.token.value
+            return f"{error.token.keyword}: unknown value '{value}': {suggestion(value, choices)}"
     return str(error)
 
 
@@ -278,7 +282,7 @@ def form(
 class Tests:
     """What the tests are, and what is identified from them."""
 
-    method: Literal["fit", "inverse", "table"] | None = None
+    method: Literal["fit", "inverse", "table", "as-printed"] | None = None
     """By default the file's, or fit."""
     keep: Keep | None = None
     """Parameters that are not fitted, such as C_lo=1000,I_lo=0.819."""
