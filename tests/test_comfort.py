@@ -210,15 +210,17 @@ PROGRAM = f'quasiform() {{ {sys.executable} -m quasiform "$@"; }}'
     [
         ("fo", ["form"]),
         ("form h", ["hemisphere"]),
+        ("form my", ["my.toml"]),
         ("form hemisphere --or", ["--orientation"]),
         ("form hemisphere --linear s", ["superlu"]),
-        ("form hemisphere --law ", ["locking", "best-fit"]),
+        ("form hemisphere --law ", ["locking", "best-fit", "my.toml"]),
         ("oat --or", []),
         ("oat --size ", []),
         ("plot --animate ", ["gif", "mp4"]),
     ],
 )
 def test_bash_completes(here, words, expected):
+    (here / "my.toml").write_text("")
     (here / "script").write_text(cli.app.generate_completion(shell="bash"))
     given = ["quasiform", *words.split(" ")]
     quoted = " ".join(f"'{word}'" for word in given)

@@ -163,6 +163,11 @@ def _disc(text: str) -> tuple[str, tuple[tuple[float, float], float]]:
     raise ValueError(f"expected NAME=X,Y,RADIUS in mm, got '{text}'")
 
 
+def _or_file(*names: str) -> Callable[[object], list[str]]:
+    """Completion by names, and by the TOML files of the working directory."""
+    return lambda _: [*names, *(str(path) for path in sorted(Path().glob("*.toml")))]
+
+
 Length = Annotated[float, word(_positive, "MM")]
 Degrees = Annotated[float, word(_positive, "DEG")]
 Factor = Annotated[float, word(_positive, "FACTOR")]
@@ -171,8 +176,8 @@ Angle = Annotated[float, word(_degrees, "DEG")]
 Count = Annotated[int, Parameter(metavar="N", validator=Number(gte=1, lte=1000))]
 Folder = Annotated[Path, word(_path, "DIR")]
 File = Annotated[Path, word(_path, "FILE")]
-Law = Annotated[str, Parameter(metavar="LAW", completer=lambda _: ("locking", "best-fit"))]
-SceneName = Annotated[str, Parameter(completer=lambda _: ("box", "hemisphere", "tetrahedron"))]
+Law = Annotated[str, Parameter(metavar="LAW", completer=_or_file("locking", "best-fit"))]
+SceneName = Annotated[str, Parameter(completer=_or_file("box", "hemisphere", "tetrahedron"))]
 Keep = Annotated[
     dict[str, float],
     word(_pairs("parameter", "fit", float, "NAME=VALUE,... such as I_lo=0.8"), "NAME=VALUE,..."),
