@@ -149,10 +149,11 @@ def optional(module: str, extra: str, need: str) -> Any:
 
 @contextmanager
 def naming(path: str | Path) -> Iterator[None]:
-    """Name the file in every refusal."""
+    """Name the file, once, in every refusal."""
     try:
         yield
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from error
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
+    except (OSError, UnicodeDecodeError, InputError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        if not reason.startswith(f"{path}: "):
+            reason = f"{path}: {reason}"
+        raise InputError(reason) from error

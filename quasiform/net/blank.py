@@ -22,15 +22,18 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from numbers import Real
+from typing import TYPE_CHECKING
 
 import numpy as np
-import shapely
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from skfem import Basis, ElementTriP1, MeshLine, MeshTri
 
 from ..checks import InputError, check_number
 from .cells import cut_net
+
+if TYPE_CHECKING:
+    import shapely
 
 FloatArray = np.ndarray
 IntArray = np.ndarray
@@ -40,6 +43,7 @@ GIVE = 0.07  # how far an outline moves along each family of lines to meet the n
 EXACT = 1e-3  # the same for a rectangle, whose edges may be gripped
 APART = 0.4  # least distance of lines through corners and extremes
 CLOSE = 0.1  # the same for a rectangle, whose corners share a line if they are nearer
+SMALLEST, LARGEST = 5.0, 20e3  # mm across; beyond, the unit of a file is probably wrong
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,10 +193,15 @@ def _mesh(kind: type, nodes: FloatArray, elements: IntArray) -> MeshTri | MeshLi
     return kind(*arrays, sort_t=False)
 
 
+def _sides(triangles: IntArray, n_nodes: int) -> tuple[IntArray, IntArray, IntArray]:
+    """Directed edges (3 n_triangles, 2), one number for each and one for its reverse."""
+    edges = np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2)
+    return edges, edges @ [n_nodes, 1], edges @ [1, n_nodes]
+
+
 def _rim(triangles: IntArray, n_nodes: int) -> IntArray:
     """(n, 2) directed edges of one triangle only."""
-    edges = np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2)
-    there, back = edges @ [n_nodes, 1], edges @ [1, n_nodes]
+    edges, there, back = _sides(triangles, n_nodes)
     return edges[~np.isin(there, back)]
 
 
@@ -312,10 +321,13 @@ def cut(
 
     Examples
     --------
+    >>> import shapely
     >>> blank = cut(shapely.box(0, 0, 40, 20).difference(shapely.box(10, 5, 20, 15)), 5.0)
     >>> len(blank.triangles), round(float(blank.areas.sum()), 6), len(blank.outline)
     (56, 700.0, 2)
     """
+    import shapely
+
     check_number("size", size)
     if not isinstance(orientation, Real) or not np.isfinite(orientation):
         raise InputError(f"orientation must be a number of degrees, got {orientation!r}")
@@ -349,6 +361,20 @@ def cut(
     return _in_one_part(blank, outline, size)
 
 
+def check_unit(across: float, scale: float) -> None:
+    """Refuse a blank of a few mm or many metres across: its unit is probably wrong.
+
+    Raises
+    ------
+    InputError
+    """
+    if not SMALLEST <= across <= LARGEST:
+        unit, factor = ("metres", 1000.0) if across < SMALLEST else ("micrometres", 1e-3)
+        raise InputError(
+            f"the blank is {across:.3g} mm across: is it in {unit}? set scale = {factor * scale:g}"
+        )
+
+
 def _check_count(size: float, length: float, width: float, area: float) -> None:
     # a cell of the net outside the outline costs a tenth of one inside
     if not max(2 * area, 0.2 * length * width) < MOST_TRIANGLES * size**2:
@@ -362,6 +388,8 @@ def _mirrored_part(
     outline: shapely.Polygon, mirror: tuple[str, ...], orientation: float, size: float
 ) -> shapely.Polygon:
     """Return the positive side of the mirror planes of an outline that has their symmetry."""
+    import shapely
+
     if mirror and orientation % 90 != 0:
         raise InputError("mirror planes need fibres along x and y")
     far = 2 * np.abs(outline.bounds).max()
@@ -385,6 +413,8 @@ def _mirrored_part(
 
 def _corners(ring: FloatArray, size: float) -> FloatArray:
     """(n, 2) vertices of a ring where it turns by more than 20°, the sharpest first."""
+    import shapely
+
     outline = shapely.simplify(shapely.LinearRing(ring), 0.02 * size)
     points = shapely.get_coordinates(outline)[:-1]
     along = np.roll(points, -1, axis=0) - points
@@ -428,10 +458,9 @@ def _lines_through(stops: FloatArray, size: float) -> FloatArray:
 
 
 def _in_one_part(blank: Blank, outline: shapely.Polygon, size: float) -> Blank:
-    """Leave out crumbs that hang on by a node; refuse what the size cannot resolve."""
+    """Leave out small parts joined by a node only; refuse what the size cannot resolve."""
     n, count = len(blank.nodes), len(blank.triangles)
-    edges = np.stack([blank.triangles, np.roll(blank.triangles, -1, axis=1)], axis=2)
-    there, back = edges.reshape(-1, 2) @ [n, 1], edges.reshape(-1, 2) @ [1, n]
+    _, there, back = _sides(blank.triangles, n)
     different, repeats = np.unique(there, return_counts=True)
     bad = blank.nodes[different[repeats > 1] // n]  # triangles on top of each other
     _, mine, other = np.intersect1d(there, back, return_indices=True)

@@ -132,7 +132,7 @@ def from_file(
     Raises
     ------
     InputError
-        As `read_repaired` and `surface_grid`, naming the file.
+        As `SurfaceFile.placed` and `surface_grid`, naming the file.
     """
     file = SurfaceFile(Path(path), **how)
     vertices, triangles, _ = file.placed()

@@ -37,31 +37,43 @@ def merged(vertices: FloatArray, triangles: np.ndarray) -> tuple[FloatArray, np.
     InputError
         For coordinates that are not finite, or if no triangle has an area.
     """
-    from scipy.spatial import cKDTree
-
     check_numbers(vertices, triangles)
     vertices, index = np.unique(vertices, axis=0, return_inverse=True)
     triangles, n = index.reshape(-1)[triangles], len(vertices)
-    pairs = cKDTree(vertices).query_pairs(
-        MERGED * np.linalg.norm(np.ptp(vertices, axis=0)), output_type="ndarray"
-    )
-    near = coo_array((np.ones(len(pairs)), pairs.T), shape=(n, n))
-    same = connected_components(near, directed=False)[1]
-    share = np.bincount(same)
-    middle = np.stack([np.bincount(same, x) / share for x in vertices.T], axis=1)
+    middle, same, apart = together(vertices, MERGED * np.linalg.norm(np.ptp(vertices, axis=0)))
     triangles = same[triangles]
     whole = (triangles != np.roll(triangles, 1, axis=1)).all(1)
     if not whole.any():
         raise InputError("no triangle has an area")
     repairs = []
-    if len(pairs):
-        apart = np.linalg.norm(np.subtract(*vertices[pairs.T]), axis=1).max()
+    if len(middle) < n:
         count = _count(n - len(middle), "vertex", "vertices")
         repairs.append(f"{count} up to {apart:.1g} mm from another merged with it")
     if not whole.all():
         repairs.append(f"{_count((~whole).sum(), 'triangle')} without area removed")
     used, triangles = np.unique(triangles[whole], return_inverse=True)
     return middle[used], triangles.reshape(-1, 3).astype(np.int64), repairs
+
+
+def together(points: FloatArray, distance: float) -> tuple[FloatArray, np.ndarray, float]:
+    """Bring points (n, d) nearer than a distance together.
+
+    Returns
+    -------
+    middle : (m, d) array
+        Of the points of each group.
+    group : (n,) int array
+    apart : float
+        Largest distance of a pair brought together.
+    """
+    from scipy.spatial import cKDTree
+
+    pairs = cKDTree(points).query_pairs(distance, output_type="ndarray")
+    near = coo_array((np.ones(len(pairs)), pairs.T), shape=2 * (len(points),))
+    group = connected_components(near, directed=False)[1]
+    share = np.bincount(group)
+    middle = np.stack([np.bincount(group, x) / share for x in points.T], axis=1)
+    return middle, group, np.linalg.norm(np.subtract(*points[pairs.T]), axis=1).max(initial=0.0)
 
 
 def without_defects(vertices: FloatArray, triangles: np.ndarray) -> tuple[np.ndarray, list[str]]:
@@ -106,9 +118,7 @@ def _without_doubles(triangles: np.ndarray) -> np.ndarray:
     """One of triangles on the same vertices, none where as many face one way as the other."""
     a, b, c = triangles.T
     sense = np.sign(b - a) * np.sign(c - b) * np.sign(c - a)  # of the order beside that by number
-    low, mid, high = np.sort(triangles, axis=1).T
-    pair = np.unique(low * (triangles.max() + 1) + mid, return_inverse=True)[1]
-    index = np.unique(pair * (triangles.max() + 1) + high, return_inverse=True)[1]
+    index = np.unique(np.sort(triangles, axis=1), axis=0, return_inverse=True)[1].reshape(-1)
     excess = np.bincount(index, sense)[index]
     kept = np.flatnonzero(sense * excess > 0)  # of those that face the way of most
     return triangles[np.sort(kept[np.unique(index[kept], return_index=True)[1]])]

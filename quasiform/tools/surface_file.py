@@ -27,6 +27,7 @@ from .mending import check_numbers, edges_of, merged, normals_of, oriented, with
 
 if TYPE_CHECKING:
     import meshio
+    from scipy.spatial.transform import Rotation
 
 __all__ = ["check_numbers", "edges_of", "naming", "normals_of", "optional"]
 
@@ -69,20 +70,31 @@ class SurfaceFile:
     spacing: float | None = None
 
     def placed(self) -> tuple[FloatArray, np.ndarray, list[str]]:
-        """Vertices, triangles and repairs as `read_repaired`, in the tool's frame."""
-        from scipy.spatial.transform import Rotation
+        """Read the surface, repair it and put it in the tool's frame.
 
-        vertices, triangles, repairs = read_repaired(self.path, self.scale)
-        turn = Rotation.from_euler("xyz", self.rotate, degrees=True)
-        return turn.apply(vertices - self.origin), triangles[:, :: -1 if self.flip else 1], repairs
+        Returns
+        -------
+        vertices, triangles
+            As `read_surface`.
+        repairs : list of str
+            What was done.
+        """
+        vertices, triangles, merging = _read(self.path, self.scale)
+        with naming(self.path):
+            triangles, repairs = without_defects(vertices, triangles)
+        vertices = self._turn.apply(vertices - self.origin)
+        return vertices, triangles[:, :: -1 if self.flip else 1], merging + repairs
 
     def moved_origin(self, dx: float, dy: float) -> str:
         """The `origin` that moves the placed surface by -dx and -dy (mm), as a scene's line."""
+        origin = np.round(np.add(self.origin, self._turn.inv().apply([dx, dy, 0.0])), 6) + 0.0
+        return "origin = [{:.4g}, {:.4g}, {:.4g}]".format(*origin)
+
+    @property
+    def _turn(self) -> Rotation:
         from scipy.spatial.transform import Rotation
 
-        turn = Rotation.from_euler("xyz", self.rotate, degrees=True)
-        origin = np.round(np.add(self.origin, turn.inv().apply([dx, dy, 0.0])), 6) + 0.0
-        return "origin = [{:.4g}, {:.4g}, {:.4g}]".format(*origin)
+        return Rotation.from_euler("xyz", self.rotate, degrees=True)
 
 
 def read_surface(path: str | Path, scale: float = 1.0) -> Surface:
@@ -110,27 +122,6 @@ def read_surface(path: str | Path, scale: float = 1.0) -> Surface:
         For a file that cannot be read, naming it.
     """
     return _read(path, scale)[:2]
-
-
-def read_repaired(path: str | Path, scale: float = 1.0) -> tuple[FloatArray, np.ndarray, list[str]]:
-    """Read a surface and repair it: `read_surface`, then `without_defects`.
-
-    Returns
-    -------
-    vertices, triangles
-        As `read_surface`.
-    repairs : list of str
-        What was done.
-
-    Raises
-    ------
-    InputError
-        For a file that cannot be read, naming it.
-    """
-    vertices, triangles, merging = _read(path, scale)
-    with naming(path):
-        triangles, repairs = without_defects(vertices, triangles)
-    return vertices, triangles, merging + repairs
 
 
 def _read(path: str | Path, scale: float) -> tuple[FloatArray, np.ndarray, list[str]]:
