@@ -30,6 +30,7 @@ from scipy.sparse.csgraph import connected_components
 from skfem import Basis, ElementTriP1, MeshLine, MeshTri
 
 from ..checks import InputError, check_number
+from ..tools.mending import rings_of
 from .cells import cut_net
 
 if TYPE_CHECKING:
@@ -131,20 +132,8 @@ class Blank:
         The outer one comes first, counter-clockwise, then the holes, clockwise. The blank lies on
         the left of all.
         """
-        edges = _rim(self.triangles, len(self.nodes))
-        leaving: dict[int, list[int]] = {}
-        for start, end in edges.tolist():
-            leaving.setdefault(start, []).append(end)
-        loops = []
-        while leaving:
-            loop = [next(iter(leaving))]
-            while len(loop) == 1 or loop[-1] != loop[0]:
-                ends = leaving[loop[-1]]
-                if len(ends) == 1:
-                    del leaving[loop[-1]]
-                loop.append(ends.pop())
-            loops.append(np.array(loop))
-        return sorted(loops, key=lambda loop: -_area(self.nodes[loop]))
+        rings = [np.array([*ring, ring[0]]) for ring in rings_of(_rim(self.triangles))]
+        return sorted(rings, key=lambda ring: -_area(self.nodes[ring]))
 
     def unfolded(self) -> tuple[Blank, IntArray, FloatArray, IntArray, FloatArray]:
         """Mirror a part of the blank into the whole.
@@ -189,19 +178,19 @@ class Blank:
 
 def _mesh(kind: type, nodes: FloatArray, elements: IntArray) -> MeshTri | MeshLine:
     """Build a scikit-fem mesh with the node order kept, so that orientations survive."""
-    arrays = np.ascontiguousarray(nodes.T), np.ascontiguousarray(elements.T)
-    return kind(*arrays, sort_t=False)
+    return kind(np.ascontiguousarray(nodes.T), np.ascontiguousarray(elements.T), sort_t=False)
 
 
-def _sides(triangles: IntArray, n_nodes: int) -> tuple[IntArray, IntArray, IntArray]:
+def _sides(triangles: IntArray) -> tuple[IntArray, IntArray, IntArray]:
     """Directed edges (3 n_triangles, 2), one number for each and one for its reverse."""
+    n = triangles.max() + 1
     edges = np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2)
-    return edges, edges @ [n_nodes, 1], edges @ [1, n_nodes]
+    return edges, edges @ [n, 1], edges @ [1, n]
 
 
-def _rim(triangles: IntArray, n_nodes: int) -> IntArray:
+def _rim(triangles: IntArray) -> IntArray:
     """(n, 2) directed edges of one triangle only."""
-    edges, there, back = _sides(triangles, n_nodes)
+    edges, there, back = _sides(triangles)
     return edges[~np.isin(there, back)]
 
 
@@ -237,20 +226,10 @@ def rectangle(
     ----------
     length, width : float
         mm, along x and y.
-    size : float
-        Spacing of the fibre lines, mm; the nearest spacing that fits is taken.
-    orientation : float
-        Angle of the warp to x, degrees.
     centre : (2,)
         Centre of the rectangle, mm.
-    through : points, mm
-        Further points that shall lie on a warp and a weft line.
-    mirror : tuple of "x" and "y"
-        Mesh only the positive side of the planes x = 0, y = 0 (through the centre).
-
-    Returns
-    -------
-    Blank
+    size, orientation, through, mirror
+        As for `cut`.
 
     Raises
     ------
@@ -261,11 +240,9 @@ def rectangle(
         check_number(name, value)
     if mirror and (orientation % 90 != 0 or any(centre)):
         raise InputError("mirror planes need fibres along x and y and the centre at the origin")
-    x0 = -length / 2 * ("x" not in mirror)
-    y0 = -width / 2 * ("y" not in mirror)
-    box = np.array(
-        [[x0, y0], [length / 2, y0], [length / 2, width / 2], [x0, width / 2]], dtype=float
-    ) + np.asarray(centre)
+    x1, y1 = length / 2, width / 2
+    x0, y0 = -x1 * ("x" not in mirror), -y1 * ("y" not in mirror)
+    box = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]], dtype=float) + np.asarray(centre)
     _check_count(size, length, width, length * width)
     R = rotation(orientation)
     points = np.array([*box, *through]) @ R  # in fibre coordinates (a, b)
@@ -308,10 +285,6 @@ def cut(
         Points that shall lie on a warp and a weft line.
     mirror : tuple of "x" and "y"
         Mesh only the positive side of the planes x = 0, y = 0.
-
-    Returns
-    -------
-    Blank
 
     Raises
     ------
@@ -362,12 +335,7 @@ def cut(
 
 
 def check_unit(across: float, scale: float) -> None:
-    """Refuse a blank of a few mm or many metres across: its unit is probably wrong.
-
-    Raises
-    ------
-    InputError
-    """
+    """Refuse (InputError) a blank of a few mm or many metres across: its unit is probably wrong."""
     if not SMALLEST <= across <= LARGEST:
         unit, factor = ("metres", 1000.0) if across < SMALLEST else ("micrometres", 1e-3)
         raise InputError(
@@ -395,16 +363,14 @@ def _mirrored_part(
     far = 2 * np.abs(outline.bounds).max()
     part = outline
     for plane in mirror:
-        flip, half = {
-            "x": ([-1.0, 1.0], shapely.box(0.0, -far, far, far)),
-            "y": ([1.0, -1.0], shapely.box(-far, 0.0, far, far)),
-        }[plane]
+        flip, half = np.ones(2), [-far, -far, far, far]
+        flip["xy".index(plane)], half["xy".index(plane)] = -1.0, 0.0
         image = shapely.transform(outline, lambda p, flip=flip: p * flip)
         if outline.symmetric_difference(image).area > 0.01 * size * outline.length:
             raise InputError(
                 f"the outline is not symmetric to {plane} = 0: leave '{plane}' out of mirror"
             )
-        part = part.intersection(half)
+        part = part.intersection(shapely.box(*half))
     pieces = [piece for piece in shapely.get_parts(part) if piece.area > 0]
     if len(pieces) != 1:
         raise InputError("the mirror planes divide the outline into parts")
@@ -459,10 +425,10 @@ def _lines_through(stops: FloatArray, size: float) -> FloatArray:
 
 def _in_one_part(blank: Blank, outline: shapely.Polygon, size: float) -> Blank:
     """Leave out small parts joined by a node only; refuse what the size cannot resolve."""
-    n, count = len(blank.nodes), len(blank.triangles)
-    _, there, back = _sides(blank.triangles, n)
-    different, repeats = np.unique(there, return_counts=True)
-    bad = blank.nodes[different[repeats > 1] // n]  # triangles on top of each other
+    count = len(blank.triangles)
+    edges, there, back = _sides(blank.triangles)
+    _, first, repeats = np.unique(there, return_index=True, return_counts=True)
+    bad = blank.nodes[edges[first[repeats > 1], 0]]  # triangles on top of each other
     _, mine, other = np.intersect1d(there, back, return_indices=True)
     links = coo_array((np.ones(len(mine)), (mine // 3, other // 3)), shape=(count, count))
     _, part = connected_components(links, directed=False)
@@ -473,7 +439,7 @@ def _in_one_part(blank: Blank, outline: shapely.Polygon, size: float) -> Blank:
         used, triangles = np.unique(blank.triangles[main], return_inverse=True)
         triangles = triangles.reshape(-1, 3)
         blank = replace(blank, nodes=blank.nodes[used], triangles=triangles)
-    rim, visits = np.unique(_rim(blank.triangles, len(blank.nodes))[:, 0], return_counts=True)
+    rim, visits = np.unique(_rim(blank.triangles)[:, 0], return_counts=True)
     bad = np.vstack([bad, blank.nodes[rim[visits > 1]]])  # parts joined by a node
     missing = abs(outline.area - blank.areas.sum()) > CLOSE * size * outline.length
     if len(bad) or missing:

@@ -141,23 +141,33 @@ def _small_holes(vertices: FloatArray, triangles: np.ndarray) -> list[list[int]]
     """Vertices about each hole that may be filled, in the sense of the triangles beside it."""
     area = np.linalg.norm(normals_of(vertices[triangles]), axis=1).sum()
     small = []
-    for loop in holes_of(vertices, triangles):
-        after: dict[int, list[int]] = {}
-        for a, b in loop.tolist():
-            after.setdefault(a, []).append(b)
-        for start in list(after):  # holes that touch in a vertex are parted there
-            path = [start]
-            while after.get(path[-1]):
-                there = after[path[-1]].pop()
-                if there not in path:
-                    path.append(there)
-                    continue
-                rim = path[path.index(there) :]
-                del path[path.index(there) + 1 :]
-                edges = np.stack([rim, np.roll(rim, -1)], axis=1)
-                if len(rim) <= FILLED[0] and _enclosed(vertices, edges) < FILLED[1] * area:
-                    small.append(rim)
+    for ring in (ring for loop in holes_of(vertices, triangles) for ring in rings_of(loop)):
+        edges = np.stack([ring, np.roll(ring, -1)], axis=1)
+        if len(ring) <= FILLED[0] and _enclosed(vertices, edges) < FILLED[1] * area:
+            small.append(ring)
     return small
+
+
+def rings_of(edges: np.ndarray) -> list[list[int]]:
+    """Vertices of the closed rings of directed edges (k, 2), parted where they touch in one."""
+    after: dict[int, list[int]] = {}
+    for a, b in edges.tolist():
+        after.setdefault(a, []).append(b)
+    rings = []
+    for start in list(after):
+        path = {start: None}
+        last = start
+        while after.get(last):
+            there = after[last].pop()
+            if there in path:
+                ring = list(path)
+                ring = ring[ring.index(there) :]
+                rings.append(ring)
+                for vertex in ring[1:]:
+                    del path[vertex]
+            path[there] = None
+            last = there
+    return rings
 
 
 def without_slivers(
