@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from errno import EISDIR
+from importlib import import_module
 from numbers import Real
 from os import strerror
 from pathlib import Path
@@ -72,3 +74,23 @@ def suggestion(word: str, known: Iterable[str]) -> str:
     """Return the nearest of the known words as a question, or all of them."""
     near = difflib.get_close_matches(word, known, n=1)
     return f"did you mean '{near[0]}'?" if near else f"expected one of {', '.join(known)}"
+
+
+def optional(module: str, extra: str, need: str) -> Any:
+    """Import an optional package, or say how to install it."""
+    try:
+        return import_module(module)
+    except (ImportError, OSError) as error:  # OSError: gmsh without the system's libraries
+        raise InputError(f"{need}: pip install 'quasiform[{extra}]'") from error
+
+
+@contextmanager
+def naming(path: str | Path) -> Iterator[None]:
+    """Name the file, once, in every refusal."""
+    try:
+        yield
+    except (OSError, UnicodeDecodeError, InputError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        if not reason.startswith(f"{path}: "):
+            reason = f"{path}: {reason}"
+        raise InputError(reason) from error

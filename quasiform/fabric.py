@@ -401,13 +401,28 @@ class Fabric:
 
     def save(self, path: str | Path) -> None:
         """Write the fabric as TOML (MPa, mm, N mm, g/m²), with what provenance says of a value."""
-        table = asdict(self)
-        for law in ("shear", "warp", "weft"):
-            table[law] = {k: v for k, v in table[law].items() if v is not None}
+        table = self.written()
         if not self.provenance:
             del table["provenance"]
         origins = {key: value for key, value in self.provenance.items() if isinstance(value, str)}
         Path(path).write_text(toml_text(table, origins), encoding="utf-8")
+
+    def written(self) -> dict[str, Any]:
+        """Return the fabric as plain numbers and texts, for a recipe."""
+        table = asdict(self)
+        for law in ("shear", "warp", "weft"):
+            table[law] = {k: v for k, v in table[law].items() if v is not None}
+        return table
+
+    @staticmethod
+    def read(written: Mapping[str, Any]) -> Fabric:
+        """Return the fabric that was written.
+
+        Raises
+        ------
+        InputError
+        """
+        return _fabric(dict(written))
 
 
 PRESETS = ("locking", "best-fit")

@@ -10,7 +10,7 @@ from numbers import Integral
 from pathlib import Path
 from typing import Any, TypeVar
 
-from .checks import InputError, check_file
+from .checks import InputError, check_file, naming
 
 T = TypeVar("T")
 BIGGEST = 10_000_000  # bytes of a file
@@ -19,12 +19,8 @@ DEEPEST = 30  # tables and lists in each other
 
 def read_toml(path: str | Path, build: Callable[[dict[str, Any]], T]) -> T:
     """Build something from the table in a TOML file; every refusal names the file."""
-    try:
+    with naming(path):
         return build(_toml(path))
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from error
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
 
 
 def _toml(path: str | Path) -> dict[str, Any]:

@@ -10,6 +10,7 @@ asked for; `scene_toml` writes it back.
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -22,19 +23,8 @@ import shapely
 from ..checks import InputError, suggestion
 from ..net import outline as outlines
 from ..toml_file import read_toml, toml_text
-from ..tools.shapes import (
-    Plane,
-    Shape,
-    ball,
-    bar,
-    box_punch,
-    flipped,
-    opening,
-    regular_polygon,
-    round_opening,
-    round_punch,
-    tetrahedron_punch,
-)
+from ..tools.part import SHAPES, Form, ToolPart
+from ..tools.surface_file import SurfaceFile
 
 _PACKAGED = Path(__file__).parents[1] / "geometries"
 FOLDER = _PACKAGED if _PACKAGED.is_dir() else Path(__file__).parents[2] / "geometries"
@@ -42,30 +32,6 @@ FOLDER = _PACKAGED if _PACKAGED.is_dir() else Path(__file__).parents[2] / "geome
 Point = tuple[float, float]
 
 
-def _box_opening(length: float, width: float, corner_radius: float, fillet: float) -> Shape:
-    x, y = length / 2, width / 2
-    return opening(np.array([[-x, -y], [x, -y], [x, y], [-x, y]]), corner_radius, fillet)
-
-
-def _triangle_opening(edge: float, azimuth: float, corner_radius: float, fillet: float) -> Shape:
-    return opening(regular_polygon(3, edge, azimuth), corner_radius, fillet)
-
-
-# what builds each shape, and from which keys: mm; an azimuth in degrees
-SHAPES: dict[str, tuple[Callable[..., Shape], tuple[str, ...]]] = {
-    "round punch": (round_punch, ("radius",)),
-    "box punch": (box_punch, ("length", "width", "edge_radius")),
-    "tetrahedron punch": (
-        tetrahedron_punch,
-        ("base_edge", "height", "edge_radius", "azimuth"),
-    ),
-    "round opening": (round_opening, ("radius", "fillet")),
-    "box opening": (_box_opening, ("length", "width", "corner_radius", "fillet")),
-    "triangle opening": (_triangle_opening, ("edge", "azimuth", "corner_radius", "fillet")),
-    "ball": (ball, ("radius",)),
-    "bar": (bar, ("radius",)),
-    "plane": (Plane, ()),
-}
 REGION: dict[str, tuple[Callable[..., shapely.Polygon], tuple[str, ...]]] = {
     "rectangle": (outlines.rectangle, ("length", "width")),
     "disc": (outlines.disc, ("radius",)),
@@ -117,77 +83,6 @@ class Region:
         build, _ = REGION[self.shape]
         moved = shapely.affinity.translate(build(*self.parameters), *self.centre)
         return outlines.with_holes(moved, [hole.polygon for hole in self.holes])
-
-
-@dataclass(frozen=True)
-class Form:
-    """A shape of a tool by its name and numbers, such as `Form("round punch", (75.0,))`.
-
-    Parameters
-    ----------
-    shape : str
-        A key of `SHAPES`.
-    numbers : tuple of float
-        In the order of `SHAPES`, mm and degrees.
-    """
-
-    shape: str
-    numbers: tuple[float, ...] = ()
-
-    def build(self) -> Shape:
-        """Return the distance function of the tool.
-
-        Raises
-        ------
-        InputError
-            For numbers that make no shape.
-        """
-        return SHAPES[self.shape][0](*self.numbers)
-
-
-@dataclass(frozen=True)
-class SurfaceFile:
-    """A tool's surface in a file: what `surface.from_file` needs."""
-
-    path: Path
-    scale: float = 1.0
-    flip: bool = False
-    rotate: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    spacing: float | None = None
-
-
-@dataclass(frozen=True)
-class ToolPart:
-    """A tool of the file; `friction`, `z` and `tilt` are None where the file leaves them open.
-
-    `geometry` may also be a shape of the user's own, which cannot be written to a file.
-    """
-
-    name: str
-    role: str
-    motion: str
-    geometry: Form | SurfaceFile | Shape
-    friction: float | None = None
-    mass: float = 0.0
-    force: float = 0.0
-    z: float | None = None
-    place: Point = (0.0, 0.0)
-    tilt: bool | None = None
-
-    @cached_property
-    def shape(self) -> Shape | SurfaceFile:
-        """Its distance function; a surface file is not read here.
-
-        Raises
-        ------
-        InputError
-            For numbers that make no shape.
-        """
-        if not isinstance(self.geometry, Form):
-            return self.geometry
-        shape = self.geometry.build()
-        return flipped(shape) if self.role == "holder" else shape
 
 
 @dataclass(frozen=True)
@@ -300,6 +195,30 @@ class SceneFile:
         InputError
         """
         return self.blank.polygon if self.blank else shapely.Polygon()
+
+    def written(self) -> dict[str, str]:
+        """Return the scene as plain text, for a recipe; its standings and paths are in it."""
+        return {"toml": scene_toml(self), "source": self.source}
+
+    @staticmethod
+    def read(written: Mapping[str, str]) -> SceneFile:
+        """Return the scene that was written.
+
+        Raises
+        ------
+        InputError
+        """
+        from .scene_schema import read_scene  # pydantic
+
+        file = read_scene(tomllib.loads(written["toml"]), Path(), "scene")
+        return replace(file, source=written["source"])
+
+    def files(self) -> list[Path]:
+        """All files that the scene names: meshes, outlines, tools and the material."""
+        named: list[Any] = [self.mesh, *(t.geometry for t in self.tools)]
+        named += [] if self.blank is None else [*self.blank.parameters]
+        named = [getattr(part, "path", part) for part in named]
+        return [part for part in named if isinstance(part, Path)]
 
 
 def built_in() -> list[str]:
