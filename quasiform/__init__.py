@@ -16,11 +16,13 @@ if TYPE_CHECKING:
     from .checks import InputError
     from .comparison import Comparison, compare
     from .console.progress import progress
+    from .energy.term import Term
     from .fabric import Fabric, TabulatedLaw, ThreeStageLaw
     from .handover import FlatPattern, Handover, abaqus_deck, export, flat_pattern
     from .identification import Identification, identify
-    from .model import Scene
+    from .model import Model
     from .net.blank import Blank, rectangle
+    from .recipe import Recipe
     from .result.run import Result
     from .scenes.fabric_tests import cantilever, off_axis_tension, picture_frame
     from .scenes.forming import forming
@@ -36,10 +38,12 @@ _MODULES = {  # where each public name is; its module is imported when the name 
     "Identification": "identification",
     "InputError": "checks",
     "Journal": "solve",
+    "Model": "model",
     "Progress": "solve",
+    "Recipe": "recipe",
     "Result": "result.run",
-    "Scene": "model",
     "TabulatedLaw": "fabric",
+    "Term": "energy.term",
     "ThreeStageLaw": "fabric",
     "Tool": "tools.shapes",
     "abaqus_deck": "handover",
