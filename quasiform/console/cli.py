@@ -11,7 +11,7 @@ import os
 import re
 import sys
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import chdir, suppress
+from contextlib import suppress
 from dataclasses import asdict, astuple, dataclass
 from importlib import import_module
 from importlib.util import module_from_spec, spec_from_file_location
@@ -223,7 +223,7 @@ class Solver(Output):
     """Travel of an increment; by default the program chooses it."""
     dry_run: bool = False
     """Print the model and the expected time; solve and write nothing."""
-    linear: Literal["auto", "pardiso", "superlu", "amg"] = "auto"
+    linear: Literal["auto", "pardiso", "superlu"] = "auto"
     """Linear solver, for experts."""
 
 
@@ -257,7 +257,8 @@ def oat(
     solver: Solver = Solver(),
 ) -> int:
     """Off-axis tension test of a strip."""
-    return _solve("oat", (angle, law, length, width, displacement, size), solver)
+    model = qf.off_axis_tension(angle, law, length, width, displacement, size)
+    return _solve(model, solver)
 
 
 @app.command
@@ -279,7 +280,8 @@ def form(
     solver: Solver = Solver(),
 ) -> int:
     """Forming test with a punch, a die and a blank holder."""
-    return _solve("form", (scene, *astuple(options)), solver, accuracy, seeds)
+    model = qf.forming(scene, *astuple(options))
+    return _solve(model, solver, accuracy, seeds, one_mesh=options.size is not None)
 
 
 @Parameter(name="*")
@@ -481,7 +483,13 @@ def export(
 @app.command
 def resume(folder: Annotated[Folder, about("Folder of the run.")], /) -> int:
     """Continue a run of `oat` or `form` from the last increment in its folder."""
-    return _run(*_continued(folder))
+    journal = qf.Journal(folder, resume=True)
+    if not isinstance(journal.options, dict) or set(journal.options) != set(OPTIONS):
+        raise InputError(
+            f"{folder}: the run there was not started by a command; continue it with "
+            "solve(model, out=..., resume=True)"
+        )
+    return _run(journal.model(), journal)
 
 
 @app.command
@@ -614,62 +622,39 @@ def validate(
     raise InputError("the validation suite is part of the source tree: run it from a clone")
 
 
-# A run, and how it is continued
+# A run
 
-SIZE = 3  # place of the size in what a forming scene is made from
+OPTIONS = ("increment", "accuracy", "linear", "seeds", "one_mesh")  # kept for `quasiform resume`
 
 
 def _solve(
-    command: str,
-    given: tuple[Any, ...],
-    solver: Solver = Solver(),
+    model: qf.Model,
+    solver: Solver,
     accuracy: float | None = None,
     seeds: int | None = None,
+    one_mesh: bool = True,
 ) -> int:
-    model = _build(command, given)
-    options = {"increment": solver.increment, "linear": solver.linear, "accuracy": accuracy}
-    options |= {"seeds": seeds, "one_mesh": command == "oat" or given[SIZE] is not None}
+    """Solve a model, or describe it."""
+    given = (solver.increment, accuracy, solver.linear, seeds, one_mesh)
     if not solver.dry_run:
-        recipe = {"command": command, "directory": str(Path.cwd()), "given": given}
         folder = solver.out or _unused(_case(model.name))
-        return _run(model, options, qf.Journal(folder, recipe | options, force=solver.force))
+        options = dict(zip(OPTIONS, given, strict=True))
+        return _run(model, qf.Journal(folder, options, force=solver.force))
     from . import forecast
 
-    found = forecast.meshes(model, options["one_mesh"], solver.linear, seeds or 0)
+    found = forecast.meshes(model, one_mesh, solver.linear, seeds or 0)
     lines = [terminal.describe(model), f"  expected time: {forecast.words(found)}"]
     if accuracy:
         lines.append("  and longer where --accuracy asks for a finer mesh than that")
     return terminal.say(*lines)
 
 
-def _build(command: str, given: Sequence[Any]) -> qf.Scene:
-    return {"oat": qf.off_axis_tension, "form": qf.forming}[command](*given)
-
-
-def _continued(folder: Path) -> tuple[qf.Scene, dict[str, Any], qf.Journal]:
-    """Model, options and journal of a run that was interrupted."""
-    journal = qf.Journal(folder, resume=True)
-    recipe: Any = journal.recipe
-    try:
-        names = ("increment", "linear", "accuracy", "seeds", "one_mesh")
-        options = {name: recipe[name] for name in names}
-        with chdir(recipe["directory"]):
-            return _build(recipe["command"], recipe["given"]), options, journal
-    except (KeyError, TypeError) as error:
-        raise InputError(
-            f"{folder}: the run there was not started by a command; continue it with "
-            "solve(model, out=..., resume=True)"
-        ) from error
-    except OSError as error:
-        raise InputError(f"{recipe['directory']}: {error.strerror}") from error
-
-
-def _run(model: qf.Scene, options: dict[str, Any], journal: qf.Journal) -> int:
+def _run(model: qf.Model, journal: qf.Journal) -> int:
     """Solve a model and leave its files in the journal's folder."""
     from ..result.files import FILES, INCREMENTS, RESUME
     from .progress import LiveProgress
 
-    folder, clock = journal.folder, perf_counter()
+    folder, options, clock = journal.folder, journal.options, perf_counter()
     terminal.say(f"writing to {folder}", terminal.describe(model))
     how = {"increment": options["increment"], "linear": options["linear"], "out": journal}
     with LiveProgress(model.travel) as callback:

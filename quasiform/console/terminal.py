@@ -15,7 +15,7 @@ from rich.table import Table
 if TYPE_CHECKING:
     from ..identification import Identification
     from ..identification.campaign import Campaign
-    from ..model import Scene
+    from ..model import Model
     from ..result.run import Result
 
 WIDE = 2.0  # degrees: an error of the shear angle that is pointed out
@@ -64,22 +64,22 @@ def number(value: float, digits: int = 4) -> str:
     return f"{float(f'{value:.{digits}g}'):.15g}"
 
 
-def describe(scene: Scene) -> str:
+def describe(model: Model) -> str:
     """The model: its size, what is in it and what was left out, and why."""
-    blank = scene.blank
+    blank = model.sheet.blank
     return "\n".join(
         [
-            f"{scene.name}: {len(blank.nodes)} nodes, {len(blank.triangles)} triangles, "
-            f"{(~scene.fixed).sum()} dofs, travel {scene.travel:g} mm",
-            f"  fabric: {scene.fabric.name}",
-            *(f"  {entry}: {why}" for entry, why in scene.model),
+            f"{model.name}: {len(blank.nodes)} nodes, {len(blank.triangles)} triangles, "
+            f"{(~model.fixed).sum()} dofs, travel {model.travel:g} mm",
+            f"  fabric: {model.sheet.fabric.name}",
+            *(f"  {entry}: {why}" for entry, why in model.description),
         ]
     )
 
 
 def report(result: Result, seconds: float) -> str:
     """Key numbers of a run, with their errors and what they are worth."""
-    summary, travel = result.summary(), result.scene.travel
+    summary, travel = result.summary(), result.model.travel
     rows = _numbers(summary) | _errors(result, summary) | _worth(summary)
     rows["wall time"] = f"{summary['wall_s']:.1f} s"
     rows["total time"] = f"{seconds:.1f} s, with error estimate and files"
@@ -120,7 +120,7 @@ def _errors(result: Result, summary: Mapping[str, Any]) -> dict[str, str]:
             why = "the run stopped early" if result.reason else "the sheet has collapsed"
         rows["error estimate"] = f"none: {why}"
     elif summary["error_estimate"]["shear_angle_deg"] > WIDE:
-        finer = "--accuracy 1 or a smaller" if result.scene.contacts else "a smaller"
+        finer = "--accuracy 1 or a smaller" if result.model.contacts else "a smaller"
         rows["error estimate"] = f"large: {finer} --size reduces it"
     doubtful = {k: v for k, v in summary["doubtful_share"].items() if v >= 0.005}
     if doubtful:
