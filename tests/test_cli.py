@@ -114,7 +114,7 @@ def assert_refused(capsys, argv, *words):
         ("form missing.toml", ["missing.toml", "No such file"]),
         ("oat --law loking", ["unknown law 'loking'", "did you mean 'locking'?"]),
         ("oat --law missing.toml", ["missing.toml", "No such file"]),
-        ("oat --linear amgg", ["--linear", "'amgg'", "did you mean 'amg'?"]),
+        ("oat --linear superl", ["--linear", "'superl'", "did you mean 'superlu'?"]),
         ("form hemisphere --symmetry non", ["--symmetry", "'non'", "did you mean 'none'?"]),
         ("oat --sise 5", ["unknown option '--sise'", "did you mean '--size'?"]),
         ("oat --sym 5", ["unknown option '--sym'", "expected one of --angle"]),
@@ -190,8 +190,8 @@ def test_a_wrong_law_file_is_refused(capsys, here, text, words):
             ["[tools.punch]", "unknown key 'radios'", "'radius'?"],
         ),
         ("[areas]", "[aeras]", ["unknown key 'aeras'", "did you mean 'areas'?"]),
-        ("value = 5.0", "value = -5.0", ["tools.holder.mass must be", "-5.0"]),
-        ("value = 5.0", "value = nan", ["tools.holder.mass must be", "nan"]),
+        ("value = 5.0", "value = -5.0", ["[tools.holder]", "mass must be", "-5.0"]),
+        ("value = 5.0", "value = nan", ["[tools.holder]", "mass must be", "nan"]),
         ("value = 5.0", "valeu = 5.0", ["[tools.holder.mass]", "unknown key 'valeu'", "'value'?"]),
         ('"kg", standing = "assumed"', '"kg", standing = "sure"', ["tools.holder.mass", "'sure'"]),
         ('"round punch"', '"round bunch"', ["[tools.punch]", "did you mean 'round punch'?"]),
@@ -375,7 +375,7 @@ def test_options_reach_the_scene_and_the_solver(here, monkeypatch):
     turned = "--orientation 45 --size 31 --travel 9 --symmetry none --law best-fit"
     assert main(f"form hemisphere {turned}".split()) == 3
     (oat, *oat_solver), (form, *form_solver) = given
-    assert oat.parameters.pop("fabric") == asdict(oat.fabric)
+    assert oat.parameters.pop("fabric") == asdict(oat.sheet.fabric)
     assert oat.parameters == {
         **{"angle": 50, "length": 300, "width": 120, "displacement": 7, "size": 60},
         "law": "mine",
@@ -449,7 +449,7 @@ def test_what_the_command_leaves_out_is_taken_from_the_file(monkeypatch):
     ]
     assert told[0] == [90.0, "MD600 best-fit", 37.0, 2.0, "none"]
     assert told[1] == [0.0, "MD600 locking", 30.0, 1.0, "auto"]
-    assert (file.blank.mirror, line.blank.mirror) == ((), ("x", "y"))
+    assert (file.sheet.blank.mirror, line.sheet.blank.mirror) == ((), ("x", "y"))
     assert file.parameters["scene"] == "mine.toml"
 
 

@@ -153,14 +153,14 @@ def planned(scene, one_mesh, **named):
 
 def test_expected_meshes_are_those_that_are_solved(monkeypatch):
     monkeypatch.setattr(forecast, "_step", lambda *given: 1.0)
-    scene, coarse = (qf.forming("hemisphere", size=size, travel=10) for size in (18, 36))
-    dofs, coarse_dofs = ((~one.fixed).sum() for one in (scene, coarse))
+    whole, coarse = (qf.forming("hemisphere", size=size, travel=10) for size in (18, 36))
+    dofs, coarse_dofs = ((~one.fixed).sum() for one in (whole, coarse))
     path = 2 * forecast.WITH_TOOLS
-    scene.coarsest = 18.0
+    scene = whole.including(lambda model: setattr(model, "coarsest", 18.0))
     assert planned(scene, True) == [(18, dofs, path), (36, coarse_dofs, path)]
     assert planned(scene, False) == planned(scene, True)  # it is the coarsest of the path already
     assert planned(scene, True, seeds=2)[0][2] == 3 * path
-    scene.coarsest = 40.0
+    scene = whole.including(lambda model: setattr(model, "coarsest", 40.0))
     assert planned(scene, False) == [
         (18, dofs, forecast.CARRIED),
         (36, coarse_dofs, path),
