@@ -19,7 +19,8 @@ import numpy as np
 import shapely
 
 from ..net.blank import Blank
-from ..result.measures import SLIP_GRADIENT, edge_points, percentile
+from ..net.edges import edge_points
+from ..result.measures import SLIP_GRADIENT, percentile
 from ..result.record import Record
 from ..result.sheet import FormedSheet
 

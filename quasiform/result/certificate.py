@@ -147,7 +147,7 @@ def trust(result: Outcome) -> list[str]:
     for reason, flag in result.doubts().items():
         if reason in LIMITED and (share := areas @ flag) >= SHARE:
             words = LIMITED[reason].format(range=result.scene.fabric.shear_range)
-            found.append(f"{share:.0%} of the area is {words}")
+            found.append(f"{100 * share:.0f} % of the area is {words}")
     if result.collapse:
         found.append(f"collapsed from {result.collapse['travel_mm']:.4g} mm on")
     if many := one_of_many(result):

@@ -10,6 +10,7 @@ import numpy as np
 from ..energy.contact import LEVER
 from ..model import COLLAPSE, Scene
 from ..net.blank import Blank
+from ..net.edges import disc
 from . import measures
 from .sheet import FormedSheet
 
@@ -273,7 +274,7 @@ class Outcome:
         """Mean |shear angle| of each named area at the end, degrees; None without a triangle."""
         means: dict[str, float | None] = {}
         for name, (centre, radius) in self.scene.areas.items():
-            inside = measures.disc(self.blank, centre, radius)
+            inside = disc(self.blank, centre, radius)
             weight, gamma = self.blank.areas[inside], np.abs(self.shear_angle[inside])
             means[name] = float(weight @ gamma / weight.sum()) if inside.any() else None
         return means
