@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import quasiform as qf
-from quasiform.result.measures import discretisation_error
+from quasiform.result.estimate import discretisation_error
 from quasiform.solve import levels
 from quasiform.solve.levels import transferred
 

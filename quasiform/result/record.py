@@ -283,13 +283,13 @@ def read_summary(path: Path) -> dict[str, Any]:
 
 def _of_first_format(summary: dict[str, Any]) -> dict[str, Any]:
     """Summary in today's format from one of version 0.1.0."""
-    told = summary.get("certified")
+    told, many = summary.get("certified"), summary.get("one_of_many")
     reasons = told.split("; ") if isinstance(told, str) else []
     return summary | {
         "format": FORMAT,
         "certified": told is True,
         "certificate": {"converged": told is True, "reasons": reasons},
-        "trust": [summary["one_of_many"]] if summary.get("one_of_many") else [],
+        "trust": [f"one of many states: {many}"] if many else [],
         "factorisations": {},
     }
 
