@@ -166,11 +166,11 @@ class Record:
 
     @property
     def goal(self) -> float:
-        """Travel that was asked for, mm; the travel that was reached where that is not known."""
-        if self.model is not None:
-            return self.model.travel
+        """End of the travel: what was asked for, as far as it is known, or what was reached."""
         given = self.parameters
-        return float(given.get("travel", given.get("displacement", self.travel)))
+        asked = given.get("travel", given.get("displacement", 0.0))
+        asked = self.model.travel if self.model is not None else float(asked)
+        return max(asked, self.travel) or 1.0
 
     @property
     def travel_name(self) -> str:
