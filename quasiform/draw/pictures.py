@@ -128,23 +128,22 @@ def _row(run: Record) -> dict[str, str]:
         "shear_angle_p99_deg": (percentile(gamma, area, 0.99), ".2f"),
         "shear_angle_mean_deg": (area @ gamma / area.sum(), ".2f"),
     }
-    row = {"case": run.case, "fabric": str(run.fabric.get("name", "unknown"))}
     if run.at_end:
         draw_in = list((summary.get("draw_in_mm") or {}).values())
-        error = summary["error_estimate"].get("shear_angle_deg")
-        numbers["shear_angle_error_deg"] = error, ".2g"
+        numbers["shear_angle_error_deg"] = summary["error_estimate"].get("shear_angle_deg"), ".2g"
         numbers["draw_in_mm"] = np.mean(draw_in) if draw_in else None, ".2f"
-    row |= {name: _number(*number) for name, number in numbers.items()}
-    if run.at_end:
-        row["certified"] = "yes" if run.certified else "no"
-    row["linear_solves"] = _number(summary.get("linear_solves"), "g")
-    row["wall_s"] = _number(summary.get("wall_s"), ".1f")
-    return row
+        numbers["certified"] = "yes" if run.certified else "no", "s"
+    numbers["linear_solves"] = summary.get("linear_solves"), "g"
+    numbers["wall_s"] = summary.get("wall_s"), ".1f"
+    return {"case": run.case, "fabric": str(run.fabric.get("name", "unknown"))} | {
+        name: format(value, form) if _known(value) else "-"
+        for name, (value, form) in numbers.items()
+    }
 
 
-def _number(value: Any, form: str) -> str:
-    known = isinstance(value, int | float) and np.isfinite(value)
-    return format(value, form) if known else "-"
+def _known(value: Any) -> bool:
+    """Whether a cell of the table has something to show."""
+    return isinstance(value, str) or (isinstance(value, int | float) and np.isfinite(value))
 
 
 def _labels(runs: Sequence[Record]) -> list[str]:

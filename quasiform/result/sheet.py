@@ -112,12 +112,12 @@ class FormedSheet:
     @cached_property
     def areas(self) -> FloatArray:
         """(m,) areas of the formed triangles, mm²."""
-        return triangle_areas(self.places, self.triangles)
+        return _areas(self.places, self.triangles)
 
     @cached_property
     def flat_areas(self) -> FloatArray:
         """(m,) areas of the flat triangles, mm²; of the formed ones where these alone are known."""
-        return triangle_areas(self.rest, self.triangles)
+        return _areas(self.rest, self.triangles)
 
     @cached_property
     def area_ratio(self) -> FloatArray:
@@ -192,11 +192,10 @@ class FormedSheet:
                 beside[there].remove(here)
                 loop.append(there)
             loops.append(np.array(loop))
-        x, y = self.rest[:, :2].T
-        areas = [float(x[a] @ (np.roll(y[a], -1) - np.roll(y[a], 1))) for a in map(_open, loops)]
+        ends = [self.rest[loop[:-1], :2] for loop in loops]
+        areas = [float(x @ (np.roll(y, -1) - np.roll(y, 1))) for x, y in (p.T for p in ends)]
         sense = np.sign(max(areas, key=abs, default=1.0))
-        order = sorted(range(len(loops)), key=lambda k: -sense * areas[k])
-        return [loops[k] for k in order]
+        return [loops[k] for k in np.argsort(-sense * np.array(areas), kind="stable")]
 
     @property
     def outline(self) -> list[FloatArray]:
@@ -205,10 +204,7 @@ class FormedSheet:
 
     @cached_property
     def weights(self) -> FloatArray:
-        """(n,) area that each point stands for, of the flat sheet if it is known; 1 without a mesh.
-
-        mm².
-        """
+        """(n,) area that a point stands for, mm², of the flat sheet if known; 1 without a mesh."""
         if not len(self.triangles):
             return np.ones(len(self.places))
         share = np.repeat(self.flat_areas / 3.0, 3)
@@ -353,10 +349,8 @@ class FormedSheet:
         mesh = self.to_meshio()
         faces = np.column_stack([np.full(len(self.triangles), 3), self.triangles]).ravel()
         surface = pyvista.PolyData(self.places, faces)
-        for name, values in mesh.point_data.items():
-            surface.point_data[name] = values
-        for name, values in self.cell_fields.items():
-            surface.cell_data[name] = values
+        surface.point_data.update(mesh.point_data)
+        surface.cell_data.update(self.cell_fields)
         return surface
 
     def write(self, path: str | Path) -> None:
@@ -423,7 +417,7 @@ def _meshes(path: Path) -> Iterator[tuple[meshio.Mesh, float | None]]:
         yield module.read(path), None
 
 
-def triangle_areas(points: FloatArray, triangles: np.ndarray) -> FloatArray:
+def _areas(points: FloatArray, triangles: np.ndarray) -> FloatArray:
     """(m,) areas of triangles between (n, 3) points, mm²."""
     a, b = _legs(points, triangles).transpose(1, 0, 2)
     return 0.5 * np.linalg.norm(np.cross(a, b), axis=1)
@@ -432,11 +426,6 @@ def triangle_areas(points: FloatArray, triangles: np.ndarray) -> FloatArray:
 def _legs(points: FloatArray, triangles: np.ndarray) -> FloatArray:
     """(m, 2, dim) vectors from the first corner of each triangle to the others."""
     return points[triangles[:, 1:]] - points[triangles[:, :1]]
-
-
-def _open(loop: np.ndarray) -> np.ndarray:
-    """A closed list of nodes without its last one, which repeats the first."""
-    return loop[:-1]
 
 
 def _in_space(flat: FloatArray) -> FloatArray:
