@@ -216,7 +216,7 @@ def test_rings_move_with_the_sheet():
     A = np.array([[1.1, 0.3], [0.2, 0.9]])
     points = np.array([[3.0, 4.0], [-21.3, 17.7], [60.0, 0.0]])  # the last one is off the blank
     formed = np.pad(blank.nodes @ A.T + [5.0, 6.0], ((0, 0), (0, 1)))
-    carried = plot.carried(FormedSheet(formed, blank.triangles, blank.nodes), points)
+    carried = plot.formed_places(FormedSheet(formed, blank.triangles, blank.nodes), points)
     np.testing.assert_allclose(carried, points[:2] @ A.T + [5.0, 6.0], atol=1e-9)
 
 

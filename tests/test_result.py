@@ -205,21 +205,23 @@ def test_a_record_is_written_as_it_was_read(folder, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("told", "certified", "reasons"),
+    ("given", "certified", "converged", "reasons"),
     [
-        (True, True, []),
-        ("stopped early; 2 negative pivots", False, ["stopped early", "2 negative pivots"]),
+        (True, True, True, []),
+        ("stopped early", False, True, ["stopped early"]),
+        ("stopped early; 2 negative pivots", False, False, ["stopped early", "2 negative pivots"]),
     ],
 )
-def test_a_folder_of_version_0_1_0_is_converted(folder, told, certified, reasons):
+def test_a_folder_of_version_0_1_0_is_converted(folder, given, certified, converged, reasons):
     summary = json.loads((folder / "summary.json").read_text())
     for key in ("format", "certificate", "trust", "factorisations"):
         del summary[key]
-    summary |= {"certified": told, "version": "0.1.0", "one_of_many": "the flange lifts by 1 mm"}
+    summary |= {"certified": given, "version": "0.1.0", "one_of_many": "the flange lifts by 1 mm"}
     (folder / "summary.json").write_text(json.dumps(summary))
     run = Record.read(folder)
     assert (run.certified, run.reasons) == (certified, reasons)
     assert run.summary["certified"] is certified
+    assert run.summary["certificate"]["converged"] is converged
     assert run.summary["trust"] == ["one of many states: the flange lifts by 1 mm"]
     assert run.summary["format"] == 2
 

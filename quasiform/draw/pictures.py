@@ -2,7 +2,7 @@
 
 The scale ends at the first round angle that neither a triangle nor the locking angle of a fabric
 passes, so that pictures of one fabric share it, and the locking angle is marked on it and on the
-sheet. Lines told apart by colour (Okabe and Ito's, safe for colour-blind readers, and of different
+sheet. Lines of different colour (Okabe and Ito's, safe for colour-blind readers, and of different
 lightness) also differ in their strokes, for print without colours.
 """
 

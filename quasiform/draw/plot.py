@@ -134,10 +134,10 @@ def doubt_figure(run: Record) -> Figure:
     axes, key = figure.subplots(1, 2, width_ratios=[1.35, 1])
     sheet, areas = run.sheet, run.sheet.flat_areas
     faces = np.tile(to_rgba(TRUSTED), (len(sheet.triangles), 1))
-    limits, handles = sheet.limits(), []
+    doubts, handles = sheet.doubts(), []
     for reason, (colour, words) in DOUBTS.items():
-        faces[limits[reason]] = to_rgba(colour)
-        share = 100 * areas @ limits[reason] / areas.sum()
+        faces[doubts[reason]] = to_rgba(colour)
+        share = 100 * areas @ doubts[reason] / areas.sum()
         label = words.format(range=run.fabric.get("shear_range", np.nan), slip=SLIP_GRADIENT)
         handles.append(Patch(facecolor=colour, label=f"{label}: {share:.1f} %"))
     paint(axes, sheet, sheet.points, faces)
@@ -203,8 +203,9 @@ def verdict(run: Record) -> str:
     """Whether a run converged and is certified, and the worst news."""
     if run.certified:
         return "; ".join(["converged and certified", *run.summary["trust"][:1]])
-    converged = run.at_end and run.summary["certificate"]["converged"]
-    head = "converged, but not certified" if converged else "not certified"
+    converged = run.summary["certificate"]["converged"]
+    head = "converged, but not certified" if converged else "not converged"
+    head = head if run.at_end else "not certified"
     return f"{head}: {'; '.join(run.reasons)}"
 
 
@@ -219,7 +220,7 @@ def _words(run: Record) -> tuple[str, str, str]:
 
 def collapsed(sheet: FormedSheet) -> np.ndarray:
     """(n_triangles,) bool array: sheared past 85 degrees, or turned over in the plane."""
-    found = sheet.limits()["collapsed"].copy()
+    found = sheet.doubts()["collapsed"].copy()
     if np.ptp(sheet.points[:, 2]) == 0:
         found |= np.linalg.det(sheet.F[:, :2]) <= 0
     return found
@@ -309,12 +310,12 @@ def paint(
     from matplotlib.collections import PolyCollection
     from matplotlib.colors import to_rgba
 
-    gone, triangles = collapsed(sheet), sheet.triangles
+    failed, triangles = collapsed(sheet), sheet.triangles
     faces = faces.copy()
     if shaded:
         faces[:, :3] *= _shade(triangles, P)[:, None]
     depth = P[triangles, 2].mean(1)
-    depth[gone] += 2.0 * np.sqrt(2.0 * sheet.flat_areas.max())  # slivers, which shall be seen
+    depth[failed] += 2.0 * np.sqrt(2.0 * sheet.flat_areas.max())  # slivers, which shall be seen
     order = np.argsort(depth, kind="stable")
     faces = np.clip(faces, 0.0, 1.0)[order]
     axes.add_collection(
@@ -322,7 +323,7 @@ def paint(
             P[triangles[order], :2],
             facecolors=faces,
             edgecolors=faces,
-            linewidths=np.where(gone, 1.5, 0.3)[order],
+            linewidths=np.where(failed, 1.5, 0.3)[order],
             joinstyle="round",
         )
     )
@@ -498,7 +499,7 @@ def largest_draw_in(sheet: FormedSheet) -> list[tuple[FloatArray, FloatArray, fl
 
 
 def _draw_areas(axes: Axes, run: Record) -> list[Line2D]:
-    """Rings around the named areas where the sheet has carried them, with their mean angle."""
+    """Rings around the named areas on the formed sheet, with their mean angle."""
     from matplotlib.colors import is_color_like
     from matplotlib.patheffects import Normal, Stroke
 
@@ -509,14 +510,14 @@ def _draw_areas(axes: Axes, run: Record) -> list[Line2D]:
     rings = []
     for name, mean in (run.summary.get("areas") or {}).items():
         centre, radius = run.areas[name]
-        ring = carried(run.sheet, centre + radius * circle)
+        ring = formed_places(run.sheet, centre + radius * circle)
         colour = name if is_color_like(name) else "black"
         label = plain(f"{name} –" if mean is None else f"{name} {mean:.1f}°")
         rings += axes.plot(*ring.T, color=colour, linewidth=1.2, path_effects=rims, label=label)
     return rings
 
 
-def carried(sheet: FormedSheet, points: FloatArray) -> FloatArray:
+def formed_places(sheet: FormedSheet, points: FloatArray) -> FloatArray:
     """Formed places (n, 2), seen along z, of those flat points that lie on the sheet."""
     tree = shapely.STRtree(shapely.polygons(sheet.flat[sheet.triangles]))
     at, triangle = tree.query(shapely.points(points), predicate="intersects")

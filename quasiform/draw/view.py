@@ -89,10 +89,10 @@ def figure(run: Record) -> Figure:
         lightposition=LIGHT_FROM,
         name="sheet",
     )
-    traces, gone = [mesh], sheet.limits()["collapsed"]
-    if gone.any():
+    traces, failed = [mesh], sheet.doubts()["collapsed"]
+    if failed.any():
         look = {"color": plot.COLLAPSED, "hoverinfo": "skip", "showlegend": True}
-        faces = _corners(sheet.triangles[gone])
+        faces = _corners(sheet.triangles[failed])
         traces.append(go.Mesh3d(**_points(x), **faces, name="collapsed", **look))
     extent = plot.extent(sheet)
     normals = plot.node_normals(sheet.triangles, x)
@@ -105,7 +105,7 @@ def figure(run: Record) -> Figure:
         ("outline", sheet.loops, 0.2 * off, {"color": "#1a1a1a", "width": 3}),
     ):
         traces.append(go.Scatter3d(**_along(x, height, lines), name=name, line=line, **look))
-    return go.Figure(traces, _layout(run, 2 * ABOVE * extent, legend=bool(gone.any())))
+    return go.Figure(traces, _layout(run, 2 * ABOVE * extent, legend=bool(failed.any())))
 
 
 def _layout(run: Record, room: float, *, legend: bool) -> dict[str, Any]:

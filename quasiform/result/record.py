@@ -113,7 +113,7 @@ class Record:
 
     @property
     def name(self) -> str:
-        """Name of the folder, by which runs of one case are told apart; of the case without one."""
+        """Name of the folder, by which runs of one case are given apart; of the case without one."""
         return str(self.summary["case"]) if self.folder is None else self.folder.resolve().name
 
     @property
@@ -299,12 +299,13 @@ def _read_summary(path: Path) -> dict[str, Any]:
 
 def _of_first_format(summary: dict[str, Any]) -> dict[str, Any]:
     """Summary in today's format from one of version 0.1.0."""
-    told, many = summary.get("certified"), summary.get("one_of_many")
-    reasons = told.split("; ") if isinstance(told, str) else []
+    given, many = summary.get("certified"), summary.get("one_of_many")
+    reasons = given.split("; ") if isinstance(given, str) else []
+    unsolved = [r for r in reasons if r.startswith("residual") or "pivots" in r or "balance" in r]
     return summary | {
         "format": FORMAT,
-        "certified": told is True,
-        "certificate": {"converged": told is True, "reasons": reasons},
+        "certified": given is True,
+        "certificate": {"converged": not unsolved, "reasons": reasons},
         "trust": [f"one of many states: {many}"] if many else [],
         "factorisations": {},
     }

@@ -33,7 +33,7 @@ FLAT = 1e-3  # of its size: how far an undeformed sheet may leave its plane
 KINDS = (".vtu", ".vtk", ".xdmf", ".xmf")
 CORNERS = {"triangle": 3, "triangle6": 3, "triangle7": 3, "quad": 4, "quad8": 4, "quad9": 4}
 SPLIT = {3: [[0, 1, 2]], 4: [[0, 1, 2], [0, 2, 3]]}
-LIMITS = ("beyond_identified_range", "unstable_in_shear", "collapsed", "rovings_may_slip")
+DOUBTS = ("beyond_identified_range", "unstable_in_shear", "collapsed", "rovings_may_slip")
 """Why the shear angle of a triangle may be wrong; the cell field `doubt` adds 1, 2, 4, 8."""
 
 
@@ -227,10 +227,10 @@ class FormedSheet:
             total = np.bincount(around, weight * np.repeat(values[known], 3), n)
             return total / np.bincount(around, weight, n)
 
-    def limits(self) -> dict[str, np.ndarray]:
-        """Triangles whose shear angle may be wrong, by reason; bool (m,) each (`LIMITS`)."""
+    def doubts(self) -> dict[str, np.ndarray]:
+        """Triangles whose shear angle may be wrong, by reason; bool (m,) each (`DOUBTS`)."""
         bits = np.ravel(self.cell_fields["doubt"]).astype(int)
-        return {reason: bits >> k & 1 > 0 for k, reason in enumerate(LIMITS)}
+        return {reason: bits >> k & 1 > 0 for k, reason in enumerate(DOUBTS)}
 
     def with_flat(self) -> FormedSheet:
         """Return it with the flat positions that its point field `displacement` leads back to.

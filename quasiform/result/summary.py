@@ -69,7 +69,7 @@ def summarise(result: Outcome, certificate: Certificate) -> dict[str, Any]:
         },
         "trust": trust(result),
         "doubtful_share": {
-            reason: float(areas @ flag / areas.sum()) for reason, flag in sheet.limits().items()
+            reason: float(areas @ flag / areas.sum()) for reason, flag in sheet.doubts().items()
         },
     }
     if scene.contacts:
