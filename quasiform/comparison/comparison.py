@@ -25,7 +25,8 @@ from scipy.integrate import trapezoid
 from ..checks import InputError, check_keys, check_number
 from ..result.files import replaced
 from ..result.measures import percentile
-from ..result.run import Result, package_version
+from ..result.run import Result
+from ..result.summary import package_version
 from .mapping import WAYS, carried, on_surface, way
 from .place import aligned, unfolded
 from .read import Reading, read_run

@@ -24,7 +24,7 @@ from ..energy.membrane import Membrane
 from ..energy.weight import GRAVITY, SheetWeight, ToolWeight
 from ..fabric import Fabric, TabulatedLaw, ThreeStageLaw
 from ..model import Scene
-from ..result.run import package_version
+from ..result.summary import package_version
 from ..tools.shapes import Tool
 from .inp import DENSITY, comment, listed, rows, write
 from .tool_surface import fine_enough, from_scene_file, sampled

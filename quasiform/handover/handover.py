@@ -10,7 +10,8 @@ import numpy as np
 
 from ..checks import InputError, suggestion
 from ..result.files import replaced
-from ..result.run import Result, package_version
+from ..result.run import Result
+from ..result.summary import package_version
 from . import drape, inp, table
 from .fibres import NOT_MODELLED, Fibres, carry
 from .part import part_of
