@@ -23,7 +23,7 @@ from ..scenes import scene_file
 from .sheet import FormedSheet, read_sheets
 
 if TYPE_CHECKING:
-    from ..model import Scene
+    from ..model import Model
 
 FloatArray = np.ndarray
 FORMAT = 2
@@ -73,7 +73,7 @@ class Record:
         Those that were written, by travel; the end is the last one.
     folder : path or None
         None for a run that is not saved.
-    model : Scene or None
+    model : Model or None
         What was solved; None for a run read from its folder.
     gripped : (n,) bool array or None
         Nodes of the last sheet that are held in all directions.
@@ -83,7 +83,7 @@ class Record:
     history: Mapping[str, FloatArray]
     sheets: Sheets
     folder: Path | None = None
-    model: Scene | None = field(default=None, repr=False)
+    model: Model | None = field(default=None, repr=False)
     gripped: np.ndarray | None = field(default=None, repr=False)
 
     @classmethod
@@ -113,7 +113,7 @@ class Record:
 
     @property
     def name(self) -> str:
-        """Name of the folder, by which runs of one case are given apart; of the case without one."""
+        """Name of the folder, or of the case where there is none."""
         return str(self.summary["case"]) if self.folder is None else self.folder.resolve().name
 
     @property
@@ -201,7 +201,7 @@ class Record:
     def in_plane(self) -> bool:
         """Whether the run is a plane problem."""
         if self.model is not None:
-            return self.model.dim == 2
+            return self.model.sheet.dim == 2
         return not (self.has_tools or np.ptp(self.sheet.points[:, 2]) > 0)
 
     @property
