@@ -113,6 +113,13 @@ class Record:
             folder,
         )
 
+    @classmethod
+    def of(cls, source: Any) -> Record:
+        """Return the record of a run: itself, that of a `Result`, or that of a folder."""
+        if isinstance(source, str | Path):
+            return cls.read(source)
+        return source if isinstance(source, cls) else source.record
+
     @property
     def name(self) -> str:
         """Name of the folder, by which runs of one case are told apart; of the case without one."""
@@ -127,6 +134,19 @@ class Record:
     def parameters(self) -> dict[str, Any]:
         """What the user gave."""
         return self.summary["parameters"]
+
+    @property
+    def scene(self) -> str:
+        """Name or file of its scene, where it is now.
+
+        Raises
+        ------
+        InputError
+            If its file is not there any more.
+        """
+        if self.folder is None:
+            return str(self.parameters.get("scene"))
+        return scene_of(self.parameters, self.folder)
 
     @property
     def sheet(self) -> FormedSheet:
