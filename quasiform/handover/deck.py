@@ -10,8 +10,9 @@ The order of the constants of the user material is written into the deck (`CONST
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +27,8 @@ from ..fabric import Fabric, TabulatedLaw, ThreeStageLaw
 from ..model import Scene
 from ..result.run import package_version
 from ..tools.shapes import Tool
-from .inp import DENSITY, comment, listed, rows, write
+from .inp import DENSITY
+from .keywords import comment, elements, in_lines, numbers, rows, write
 from .tool_surface import fine_enough, from_scene_file, sampled
 
 FloatArray = np.ndarray
@@ -52,17 +54,58 @@ CONSTANTS = (
 )
 
 
+@dataclass(frozen=True)
+class _Rigid:
+    """A tool in the deck."""
+
+    tool: Tool
+    dof: int
+    name: str
+    node: int
+
+
 @dataclass
 class _Deck:
-    """A deck in the making: lines, what is known about labels, notices."""
+    """A deck in the making: lines, the last labels that are taken, notices."""
 
     scene: Scene
     spacing: float | None
     speed: float
     lines: list[str] = field(default_factory=list)
     notices: list[str] = field(default_factory=list)
-    next_node: int = 0
-    next_element: int = 0
+    last_node: int = 0
+    last_element: int = 0
+
+    def add(self, *lines: str) -> None:
+        """Add lines."""
+        self.lines += lines
+
+    def note(self, words: str) -> None:
+        """Add a notice."""
+        self.notices.append(words)
+
+    @cached_property
+    def bends(self) -> bool:
+        """Whether there are shells."""
+        return any(isinstance(term, Bending) for term in self.scene.terms)
+
+    @cached_property
+    def places(self) -> FloatArray:
+        """(n_nodes, 3) places of the sheet at the start, mm."""
+        places = self.scene.positions(self.scene.x0)
+        return np.pad(places, ((0, 0), (0, 3 - places.shape[1])))
+
+    @cached_property
+    def travel(self) -> FloatArray:
+        """Prescribed motion of all unknowns over the whole travel, mm."""
+        scene = self.scene
+        end = scene.prescribed(scene.travel)[0] - scene.x0
+        return np.where(scene.fixed & (np.abs(end) > 1e-12), end, 0.0)
+
+    @property
+    def moved(self) -> FloatArray:
+        """(n_nodes, dim) that of the nodes."""
+        return self.travel[: self.scene.n_nodal].reshape(-1, self.scene.dim)
 
 
 def abaqus_deck(
@@ -117,62 +160,35 @@ def abaqus_deck(
     _steps(deck, tools)
     for term in scene.terms:
         if not isinstance(term, CARRIED):
-            deck.notices.append(f"not carried: {getattr(term, 'name', type(term).__name__)}")
+            deck.note(f"not carried: {getattr(term, 'name', type(term).__name__)}")
     notices = (
         "the deck is not run: its syntax is checked only; mass scaling and the time are yours "
         "to choose, watch the kinetic energy",
         *deck.notices,
     )
-    head = ["*HEADING", f"{scene.name}, quasiform {package_version()}"]
     words = [f"Fabric {scene.fabric.name}. Units N, mm, s, t, MPa.", *notices, *CONSTANTS]
     words += [f"{entry}: {why}" for entry, why in scene.model]
+    head = ["*HEADING", f"{scene.name}, quasiform {package_version()}", *comment(words)]
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        write(path, _ascii([*head, *comment(words), *deck.lines]))
+        write(path, [*head, *deck.lines])
     except OSError as error:
         raise InputError(f"cannot write to {path}: {error.strerror or error}") from error
     return notices
 
 
-def _ascii(lines: list[str]) -> Iterator[str]:
-    return (line.encode("ascii", "replace").decode() for line in lines)
-
-
-def _name(text: str) -> str:
-    """Label of Abaqus: letters, digits, underscores."""
-    plain = "".join(c if c.isascii() and c.isalnum() else "_" for c in text).upper()
-    return f"T_{plain}"[:60]
-
-
-# The sheet
-
-
 def _sheet(deck: _Deck) -> None:
-    scene = deck.scene
-    blank = scene.blank
-    places = scene.positions(scene.x0)
-    places = np.pad(places, ((0, 0), (0, 3 - places.shape[1])))
-    nodes = 1 + np.arange(len(places))
-    membranes = 1 + np.arange(len(blank.triangles))
-    deck.next_node = deck.next_element = 10 ** len(str(max(nodes[-1], membranes[-1])))
-    corners = nodes[blank.triangles]
-    out = deck.lines
-    out += ["*NODE, NSET=SHEET", *rows(nodes, places)]
-    out += ["*ELEMENT, TYPE=M3D3, ELSET=MEMBRANES", *_cells(membranes, corners)]
-    if _bends(scene):
-        shells = membranes + deck.next_element
-        deck.next_element *= 2
-        out += ["*ELEMENT, TYPE=S3, ELSET=SHELLS", *_cells(shells, corners)]
-    else:
-        deck.notices.append("membranes alone: the scene has no bending")
-
-
-def _cells(labels: np.ndarray, corners: np.ndarray) -> Iterator[str]:
-    return (", ".join(map(str, [e, *c])) for e, c in zip(labels, corners.tolist(), strict=True))
-
-
-def _bends(scene: Scene) -> bool:
-    return any(isinstance(term, Bending) for term in scene.terms)
+    triangles = deck.scene.blank.triangles
+    nodes, labels = 1 + np.arange(len(deck.places)), 1 + np.arange(len(triangles))
+    deck.last_node = deck.last_element = 10 ** len(str(max(nodes[-1], labels[-1])))
+    deck.add("*NODE, NSET=SHEET", *rows(nodes, deck.places))
+    deck.add("*ELEMENT, TYPE=M3D3, ELSET=MEMBRANES", *elements(labels, nodes[triangles]))
+    if not deck.bends:
+        deck.note("membranes alone: the scene has no bending")
+        return
+    labels += deck.last_element
+    deck.last_element *= 2
+    deck.add("*ELEMENT, TYPE=S3, ELSET=SHELLS", *elements(labels, nodes[triangles]))
 
 
 def constants(fabric: Fabric) -> list[float]:
@@ -183,39 +199,39 @@ def constants(fabric: Fabric) -> list[float]:
             return [law.C_ini, *[0.0] * 5]
         return [law.C_ini, law.S_ini, law.C_mid, law.dS_mid, law.C_lo, law.I_lo]
 
-    found = [*six(fabric.warp), *six(fabric.weft)]
-    if isinstance(fabric.shear, TabulatedLaw):
-        points = zip(fabric.shear.I6, fabric.shear.S12, strict=True)
-        return [*found, float(len(fabric.shear.I6)), *(v for point in points for v in point)]
-    return [*found, 0.0, *six(fabric.shear)]
+    found, shear = [*six(fabric.warp), *six(fabric.weft)], fabric.shear
+    if isinstance(shear, TabulatedLaw):
+        points = np.column_stack([shear.I6, shear.S12]).ravel()
+        return [*found, float(len(shear.I6)), *points.tolist()]
+    return [*found, 0.0, *six(shear)]
 
 
 def _material(deck: _Deck) -> None:
-    scene, out = deck.scene, deck.lines
-    fabric, blank = scene.fabric, scene.blank
-    bends = _bends(scene)
-    density = DENSITY * fabric.areal_weight / fabric.thickness / (1 + bends)
-    if not density:
-        deck.notices.append("the fabric has no areal weight: an explicit run needs a density")
+    fabric, blank = deck.scene.fabric, deck.scene.blank
     t0 = fabric.thickness
-    axes = ", ".join(f"{v:.9g}" for v in (*blank.warp, 0.0, *blank.weft, 0.0))
-    out += ["*ORIENTATION, NAME=FLAT_FIBRES, SYSTEM=RECTANGULAR", axes, "3, 0."]
-    out += [
+    density = DENSITY * fabric.areal_weight / t0 / (1 + deck.bends)
+    if not density:
+        deck.note("the fabric has no areal weight: an explicit run needs a density")
+    values = [f"{v:.9g}" for v in constants(fabric)]
+    deck.add(
+        "*ORIENTATION, NAME=FLAT_FIBRES, SYSTEM=RECTANGULAR",
+        numbers((*blank.warp, 0.0, *blank.weft, 0.0)),
+        "3, 0.",
         "*MEMBRANE SECTION, ELSET=MEMBRANES, MATERIAL=FABRIC, ORIENTATION=FLAT_FIBRES",
         f"{t0:.9g}",
-    ]
-    values = constants(fabric)
-    out += ["*MATERIAL, NAME=FABRIC", "*DENSITY", f"{density:.6g},"]
-    out += [f"*USER MATERIAL, CONSTANTS={len(values)}"]
-    words = [f"{v:.9g}" for v in values]
-    out += [", ".join(words[i : i + 8]) for i in range(0, len(words), 8)]
-    if not bends:
+        "*MATERIAL, NAME=FABRIC",
+        "*DENSITY",
+        f"{density:.6g},",
+        f"*USER MATERIAL, CONSTANTS={len(values)}",
+        *in_lines(values, 8),
+    )
+    if not deck.bends:
         return
     # the bending stiffness of a homogeneous shell is E t³/12
     E = [12 * B / t0**3 for B in (fabric.bending_warp, fabric.bending_weft)]
     law = fabric.shear
-    G = law.S12[1] / law.I6[1] if isinstance(law, TabulatedLaw) else law.C_ini
-    out += [
+    G = SOFT * (law.S12[1] / law.I6[1] if isinstance(law, TabulatedLaw) else law.C_ini)
+    deck.add(
         "*SHELL SECTION, ELSET=SHELLS, MATERIAL=BENDING, ORIENTATION=FLAT_FIBRES, "
         "SECTION INTEGRATION=GAUSS",
         f"{t0:.9g}, 3",
@@ -223,8 +239,8 @@ def _material(deck: _Deck) -> None:
         "*DENSITY",
         f"{density:.6g},",
         "*ELASTIC, TYPE=LAMINA",
-        ", ".join(f"{v:.6g}" for v in (*E, 0.0, SOFT * G, SOFT * G, SOFT * G)),
-    ]
+        numbers((*E, 0.0, G, G, G), 6),
+    )
     fibre = min(fabric.warp.C_ini, fabric.weft.C_ini) * 4
     deck.notices += [
         f"the shells bend by E = 12 B/t0³ (warp {E[0]:.4g}, weft {E[1]:.4g} MPa), which adds "
@@ -234,58 +250,46 @@ def _material(deck: _Deck) -> None:
         "no stiffness against twisting",
         "membranes and shells have half the mass each",
     ]
-    if fabric.in_plane_bending and scene.dim == 3:
-        deck.notices.append(
+    if fabric.in_plane_bending and deck.scene.dim == 3:
+        deck.note(
             f"not carried: in-plane bending of the fibres ({fabric.in_plane_bending:g} of the "
             "bending stiffness), which shells of this kind do not have"
         )
 
 
-# Tools
-
-
-@dataclass(frozen=True)
-class _Rigid:
-    """A tool in the deck."""
-
-    tool: Tool
-    dof: int
-    name: str
-    node: int
-
-
 def _tools(deck: _Deck) -> list[_Rigid]:
-    scene, out = deck.scene, deck.lines
+    scene = deck.scene
     found: dict[str, _Rigid] = {}
     for contact in scene.contacts:
-        tool, dof = contact.tool, int(contact.tool_dofs[0])
+        tool = contact.tool
         if tool.name in found:
             continue
         origin = contact.origin(scene.x0)
         vertices, triangles = _triangles(deck, contact, origin)
-        first_node, first = deck.next_node + 1, deck.next_element + 1
-        name = _name(tool.name)
+        plain = "".join(c if c.isascii() and c.isalnum() else "_" for c in tool.name).upper()
+        name = f"T_{plain}"[:60]
         while name in {rigid.name for rigid in found.values()}:
             name += "_2"
-        nodes = first_node + 1 + np.arange(len(vertices))
-        elements = first + np.arange(len(triangles))
-        out += [f"*NODE, NSET={name}_REF", *rows([first_node], origin[None])]
-        out += [f"*NODE, NSET={name}_NODES", *rows(nodes, vertices + origin)]
-        out += [f"*ELEMENT, TYPE=R3D3, ELSET={name}", *_cells(elements, nodes[triangles])]
-        out += [f"*RIGID BODY, REF NODE={first_node}, ELSET={name}"]
-        deck.next_node, deck.next_element = int(nodes[-1]), int(elements[-1])
+        reference = deck.last_node + 1
+        nodes = reference + 1 + np.arange(len(vertices))
+        labels = deck.last_element + 1 + np.arange(len(triangles))
+        deck.add(f"*NODE, NSET={name}_REF", *rows([reference], origin[None]))
+        deck.add(f"*NODE, NSET={name}_NODES", *rows(nodes, vertices + origin))
+        deck.add(f"*ELEMENT, TYPE=R3D3, ELSET={name}", *elements(labels, nodes[triangles]))
+        deck.add(f"*RIGID BODY, REF NODE={reference}, ELSET={name}")
+        deck.last_node, deck.last_element = int(nodes[-1]), int(labels[-1])
         if tool.motion == "free":
             mass = tool.mass or tool.force / (1e3 * GRAVITY)
             if not tool.mass:
-                deck.notices.append(
+                deck.note(
                     f"the {tool.name} has a force and no mass: {mass:.3g} kg, which weigh as much, "
                     "stand in"
                 )
-            deck.next_element += 1
-            out += [f"*ELEMENT, TYPE=MASS, ELSET={name}_MASS"]
-            out += [f"{deck.next_element}, {first_node}"]
-            out += [f"*MASS, ELSET={name}_MASS", f"{1e-3 * mass * scene.share:.9g}"]
-        found[tool.name] = _Rigid(tool, dof, name, first_node)
+            deck.last_element += 1
+            deck.add(f"*ELEMENT, TYPE=MASS, ELSET={name}_MASS")
+            deck.add(f"{deck.last_element}, {reference}")
+            deck.add(f"*MASS, ELSET={name}_MASS", f"{1e-3 * mass * scene.share:.9g}")
+        found[tool.name] = _Rigid(tool, int(contact.tool_dofs[0]), name, reference)
     return list(found.values())
 
 
@@ -294,161 +298,122 @@ def _triangles(deck: _Deck, contact: Contact, origin: FloatArray) -> tuple[Float
     scene, tool = deck.scene, contact.tool
     given = from_scene_file(tool, scene.parameters, scene.turn)
     if given is not None:
-        deck.notices.append(f"the {tool.name} has the {len(given[1])} triangles of its file")
+        deck.note(f"the {tool.name} has the {len(given[1])} triangles of its file")
         return given
-    places = scene.positions(scene.x0)
-    deep = scene.travel if scene.travel_name == "travel_mm" else np.ptp(places, axis=0).max()
-    low = places.min(0) - origin - [MARGIN, MARGIN, MARGIN + deep]
-    high = places.max(0) - origin + [MARGIN, MARGIN, MARGIN + deep]
+    deep = scene.travel if scene.travel_name == "travel_mm" else np.ptp(deck.places, axis=0).max()
+    margin = np.array([MARGIN, MARGIN, MARGIN + deep])
+    low, high = deck.places.min(0) - origin - margin, deck.places.max(0) - origin + margin
     box = getattr(tool.shape, "box", None)
     if box is not None:
         low, high = np.maximum(low, box[0] - MARGIN), np.minimum(high, box[1] + MARGIN)
-    wanted = deck.spacing or min(
-        scene.blank.size, fine_enough(tool.shape, OFF * scene.fabric.thickness)
-    )
+    fine = fine_enough(tool.shape, OFF * scene.fabric.thickness)
+    wanted = deck.spacing or min(scene.blank.size, fine)
     vertices, triangles, spacing, off = sampled(tool.shape, low, high, wanted)
     coarser = f", not {wanted:.3g} as wanted," if spacing > wanted * (1 + 1e-9) else ""
-    deck.notices.append(
+    deck.note(
         f"the {tool.name} is {len(triangles)} triangles about {spacing:.3g} mm wide{coarser} "
         f"sampled from its distance, at most {off:.2g} mm off"
     )
     return vertices, triangles
 
 
-# Supports and contact
-
-
 def _supports(deck: _Deck) -> None:
     """Symmetry, and what the scene prescribes of the nodes and never moves."""
-    scene, out = deck.scene, deck.lines
-    blank, dim = scene.blank, scene.dim
+    scene, blank = deck.scene, deck.scene.blank
     nodes = 1 + np.arange(len(blank.nodes))
-    fixed = scene.fixed[: scene.n_nodal].reshape(-1, dim).copy()
-    moved = _moved(scene) != 0
+    fixed = scene.fixed[: scene.n_nodal].reshape(-1, scene.dim).copy()
     for axis, plane in enumerate("xy"):
         if plane in blank.mirror:
-            on = np.abs(blank.nodes[:, axis]) < 1e-9
+            on, name = np.abs(blank.nodes[:, axis]) < 1e-9, plane.upper()
             fixed[on, axis] = False
-            out += [f"*NSET, NSET=MIRROR_{plane.upper()}", *listed(nodes[on])]
-            out += ["*BOUNDARY", f"MIRROR_{plane.upper()}, {plane.upper()}SYMM"]
+            deck.add(f"*NSET, NSET=MIRROR_{name}", *in_lines(nodes[on]))
+            deck.add("*BOUNDARY", f"MIRROR_{name}, {name}SYMM")
     if blank.mirror:
-        deck.notices.append(
+        deck.note(
             f"{scene.share:g} of the whole is modelled: multiply forces by {1 / scene.share:g}"
         )
     if scene.turn:
-        deck.notices.append(
-            f"the deck is in the model's axes, turned by {scene.turn:g}° from the scene's"
-        )
-    for axis in range(dim):
-        held = fixed[:, axis] & ~moved[:, axis]
+        deck.note(f"the deck is in the model's axes, turned by {scene.turn:g}° from the scene's")
+    for axis, held in enumerate((fixed & (deck.moved == 0)).T, 1):
         if held.any():
-            out += [f"*NSET, NSET=HELD_{axis + 1}", *listed(nodes[held])]
-            out += ["*BOUNDARY", f"HELD_{axis + 1}, {axis + 1}, {axis + 1}"]
-    if dim == 2:
-        out += ["*BOUNDARY", "SHEET, 3, 3"]
-    if any(isinstance(term, Bending) for term in scene.terms) and fixed.any():
-        deck.notices.append("supports hold places only: a clamp's rotations are not carried")
-
-
-def _moved(scene: Scene) -> FloatArray:
-    """(n_nodes, dim) prescribed displacement of the nodes over the whole travel, mm."""
-    end = scene.prescribed(scene.travel)[0] - scene.x0
-    moved = np.where(scene.fixed, end, 0.0)[: scene.n_nodal].reshape(-1, scene.dim)
-    return np.where(np.abs(moved) > 1e-12, moved, 0.0)
+            deck.add(f"*NSET, NSET=HELD_{axis}", *in_lines(nodes[held]))
+            deck.add("*BOUNDARY", f"HELD_{axis}, {axis}, {axis}")
+    if scene.dim == 2:
+        deck.add("*BOUNDARY", "SHEET, 3, 3")
+    if deck.bends and fixed.any():
+        deck.note("supports hold places only: a clamp's rotations are not carried")
 
 
 def _contact(deck: _Deck, tools: list[_Rigid]) -> None:
-    out, fabric = deck.lines, deck.scene.fabric
-    if not tools:
-        return
-    out += ["*SURFACE, TYPE=ELEMENT, NAME=SHEET_FACES"]
-    out += ["SHELLS," if _bends(deck.scene) else "MEMBRANES,"]
+    if tools:
+        deck.add("*SURFACE, TYPE=ELEMENT, NAME=SHEET_FACES")
+        deck.add("SHELLS," if deck.bends else "MEMBRANES,")
     for rigid in tools:
-        out += [f"*SURFACE, TYPE=ELEMENT, NAME={rigid.name}_FACES", f"{rigid.name}, SPOS"]
-        out += [f"*SURFACE INTERACTION, NAME={rigid.name}_TOUCH"]
-        out += ["*FRICTION", f"{rigid.tool.friction:.9g},"]
-        out += ["*SURFACE BEHAVIOR, PRESSURE-OVERCLOSURE=LINEAR", f"{fabric.compaction:.9g},"]
-
-
-# Steps
+        deck.add(
+            f"*SURFACE, TYPE=ELEMENT, NAME={rigid.name}_FACES",
+            f"{rigid.name}, SPOS",
+            f"*SURFACE INTERACTION, NAME={rigid.name}_TOUCH",
+            "*FRICTION",
+            f"{rigid.tool.friction:.9g},",
+            "*SURFACE BEHAVIOR, PRESSURE-OVERCLOSURE=LINEAR",
+            f"{deck.scene.fabric.compaction:.9g},",
+        )
 
 
 def _steps(deck: _Deck, tools: list[_Rigid]) -> None:
-    scene, out = deck.scene, deck.lines
-    moved = _moved(scene)
-    far = max(
-        [float(np.abs(moved).max())]
-        + [scene.travel for rigid in tools if rigid.tool.motion == "driven"]
-    )
-    time = max(far, 1.0) / deck.speed
+    driven = [rigid for rigid in tools if rigid.tool.motion == "driven"]
     free = [rigid for rigid in tools if rigid.tool.motion == "free"]
-    weight = next((term for term in scene.terms if isinstance(term, SheetWeight)), None)
+    far = max(float(np.abs(deck.moved).max()), deck.scene.travel if driven else 0.0)
+    time = max(far, 1.0) / deck.speed
     for name, end in (("SETTLING", SETTLE), ("TRAVEL", time)):
-        out += [f"*AMPLITUDE, NAME={name}, DEFINITION=SMOOTH STEP", f"0., 0., {end:.9g}, 1."]
+        deck.add(f"*AMPLITUDE, NAME={name}, DEFINITION=SMOOTH STEP", f"0., 0., {end:.9g}, 1.")
     for rigid in tools:
-        held = {"fixed": "1, 6", "driven": "1, 6", "free": "1, 2"}[rigid.tool.motion]
-        out += ["*BOUNDARY", f"{rigid.name}_REF, {held}"]
-        if rigid.tool.motion == "free":
-            out += [f"{rigid.name}_REF, 4, 6"]
+        held = ("1, 2", "4, 6") if rigid in free else ("1, 6",)
+        deck.add("*BOUNDARY", *(f"{rigid.name}_REF, {dofs}" for dofs in held))
         if rigid.tool.tilts:
-            deck.notices.append(
+            deck.note(
                 f"the {rigid.tool.name} may not tilt in the deck: its moments of inertia are not "
                 "known"
             )
-    steps = []
+    first = _first_step(deck, tools, free)
+    last = _driven(deck, driven)
+    steps = [("travel", time, [*([] if free else first), *last])]
     if free:
-        steps.append(("the holder comes to rest", SETTLE))
-    steps.append(("travel", time))
-    for number, (words, duration) in enumerate(steps):
-        out += [f"*STEP, NAME=STEP_{number + 1}, NLGEOM=YES", words]
-        out += ["*DYNAMIC, EXPLICIT", f", {duration:.9g}"]
-        if not number:
-            for rigid in tools:
-                out += [
-                    f"*CONTACT PAIR, INTERACTION={rigid.name}_TOUCH, MECHANICAL CONSTRAINT=PENALTY",
-                    f"SHEET_FACES, {rigid.name}_FACES",
-                ]
-            amplitude = "SETTLING" if free else "TRAVEL"
-            for rigid in free:
-                load = _load(scene, rigid)
-                out += [f"*CLOAD, AMPLITUDE={amplitude}", f"{rigid.name}_REF, 3, {-load:.9g}"]
-            if weight is not None:
-                out += [f"*DLOAD, AMPLITUDE={amplitude}"]
-                g = f"GRAV, {1e6 * GRAVITY:.9g}, 0., 0., -1."
-                out += [f"MEMBRANES, {g}"] + ([f"SHELLS, {g}"] if _bends(scene) else [])
-        if number == len(steps) - 1:
-            _travel(deck, tools, moved)
-        out += _output(tools)
-        out += ["*END STEP"]
+        steps.insert(0, ("the holder comes to rest", SETTLE, first))
+    for number, (words, duration, lines) in enumerate(steps, 1):
+        deck.add(f"*STEP, NAME=STEP_{number}, NLGEOM=YES", words)
+        deck.add("*DYNAMIC, EXPLICIT", f", {duration:.9g}", *lines, *_output(tools), "*END STEP")
 
 
-def _load(scene: Scene, rigid: _Rigid) -> float:
-    """Weight and force of a free tool on the modelled share, N."""
-    return float(
-        sum(
-            term.force
-            for term in scene.terms
-            if isinstance(term, ToolWeight) and term.dofs[0, 0] == rigid.dof
-        )
-    )
+def _first_step(deck: _Deck, tools: list[_Rigid], free: list[_Rigid]) -> list[str]:
+    """Contact, and the weights and forces that stay on."""
+    lines, amplitude = [], "SETTLING" if free else "TRAVEL"
+    for rigid in tools:
+        lines += [
+            f"*CONTACT PAIR, INTERACTION={rigid.name}_TOUCH, MECHANICAL CONSTRAINT=PENALTY",
+            f"SHEET_FACES, {rigid.name}_FACES",
+        ]
+    weights = [term for term in deck.scene.terms if isinstance(term, ToolWeight)]
+    for rigid in free:
+        load = sum(float(term.force) for term in weights if term.dofs[0, 0] == rigid.dof)
+        lines += [f"*CLOAD, AMPLITUDE={amplitude}", f"{rigid.name}_REF, 3, {-load:.9g}"]
+    if any(isinstance(term, SheetWeight) for term in deck.scene.terms):
+        g = f"GRAV, {1e6 * GRAVITY:.9g}, 0., 0., -1."
+        lines += [f"*DLOAD, AMPLITUDE={amplitude}", f"MEMBRANES, {g}"]
+        lines += [f"SHELLS, {g}"] * deck.bends
+    return lines
 
 
-def _travel(deck: _Deck, tools: list[_Rigid], moved: FloatArray) -> None:
-    scene, out = deck.scene, deck.lines
-    end = scene.prescribed(scene.travel)[0] - scene.x0
-    lines = [
-        f"{rigid.name}_REF, 3, 3, {end[rigid.dof]:.9g}"
-        for rigid in tools
-        if rigid.tool.motion == "driven"
-    ]
+def _driven(deck: _Deck, driven: Iterable[_Rigid]) -> list[str]:
+    """Motion of the driven tools and of the prescribed nodes."""
+    lines = [f"{rigid.name}_REF, 3, 3, {deck.travel[rigid.dof]:.9g}" for rigid in driven]
     lines += [
-        f"{node + 1}, {axis + 1}, {axis + 1}, {moved[node, axis]:.9g}"
-        for node, axis in np.argwhere(moved)
+        f"{node + 1}, {axis + 1}, {axis + 1}, {deck.moved[node, axis]:.9g}"
+        for node, axis in np.argwhere(deck.moved)
     ]
-    if lines:
-        out += ["*BOUNDARY, TYPE=DISPLACEMENT, AMPLITUDE=TRAVEL", *lines]
-    if callable(scene.drive):
-        deck.notices.append("prescribed nodes go straight to their end, not along their path")
+    if callable(deck.scene.drive):
+        deck.note("prescribed nodes go straight to their end, not along their path")
+    return ["*BOUNDARY, TYPE=DISPLACEMENT, AMPLITUDE=TRAVEL", *lines] if lines else []
 
 
 def _output(tools: list[_Rigid]) -> list[str]:

@@ -68,9 +68,7 @@ OPTISTRUCT = Code(
 )
 
 
-def drape(
-    fibres: Fibres, folder: Path, code: Code, reference: FloatArray
-) -> tuple[str, ...]:
+def drape(fibres: Fibres, folder: Path, code: Code, reference: FloatArray) -> tuple[str, ...]:
     """Write the tables, with the formed mesh where that is the one handed over; notices."""
     target, known = fibres.target, fibres.known
     n = target.normals

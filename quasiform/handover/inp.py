@@ -72,7 +72,7 @@ def abaqus(fibres: Fibres, folder: Path, pair: bool = False) -> tuple[str, ...]:
     lines += ["*DISTRIBUTION, NAME=FORMED_THICKNESS, LOCATION=ELEMENT, TABLE=LENGTHS"]
     write(folder / "fibres.inp", [*lines, f", {t0}", *by_element(fibres.thickness[known])])
 
-    warp, weft, shear = _moduli(fibres)
+    warp, weft, shear = moduli(fibres)
     materials = {"WARP_LAYER": 2 * warp, "WEFT_LAYER": 2 * weft}
     lines = ["*HEADING", *_header(fibres), *INCLUDES]
     lines += ["*SHELL SECTION, ELSET=FORMED, COMPOSITE, SHELL THICKNESS=FORMED_THICKNESS"]
@@ -102,11 +102,11 @@ def calculix(fibres: Fibres, folder: Path, axis: str = "warp") -> tuple[str, ...
     for label, row in zip(labels, _frame(fibres, axis), strict=True):
         lines += [f"*ELSET, ELSET=F{label}", str(label)]
         lines += [f"*ORIENTATION, NAME=O{label}, SYSTEM=RECTANGULAR", numbers(row)]
-    thickness = target.at_nodes(fibres.thickness, known)[used]
+    thickness = target.at_nodes(fibres.thickness)[used]
     lines += ["*NODAL THICKNESS", *rows(target.nodes[used], thickness)]
     write(folder / "fibres.inp", lines)
 
-    warp, weft, shear = _moduli(fibres)
+    warp, weft, shear = moduli(fibres)
     E = {"warp": (warp, weft), "weft": (weft, warp), "bisector": (0.5 * (warp + weft),) * 2}[axis]
     lines = ["*HEADING", fibres.name, *_header(fibres), *INCLUDES]
     lines += ["*MATERIAL, NAME=FABRIC", "*DENSITY", f"{_density(fibres):.6g}"]
@@ -159,7 +159,7 @@ def _frame(fibres: Fibres, axis: str) -> FloatArray:
     return np.hstack([along, np.cross(fibres.target.normals[fibres.known], along)])
 
 
-def _moduli(fibres: Fibres) -> tuple[float, float, float]:
+def moduli(fibres: Fibres) -> tuple[float, float, float]:
     """Stiffness of the flat, unloaded fabric along warp and weft and in shear, MPa.
 
     S = 2 dW/dI4 and E = (I4 - 1)/2, so that dS/dE = 4 d²W/dI4² = 4 C_ini; S12 = dW/dI6 and
@@ -168,6 +168,7 @@ def _moduli(fibres: Fibres) -> tuple[float, float, float]:
     found = []
     for name, factor in (("warp", 4.0), ("weft", 4.0), ("shear", 1.0)):
         law = fibres.fabric.get(name) or {}
+        law = law if isinstance(law, dict) else vars(law)
         if "C_ini" in law:
             found.append(factor * float(law["C_ini"]))
         elif len(law.get("I6", ())) > 1:

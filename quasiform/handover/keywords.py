@@ -43,11 +43,15 @@ def plain(line: str) -> str:
 
 def comment(lines: Iterable[str]) -> list[str]:
     """Comment lines of at most 80 characters."""
-    return [
-        f"** {part}" for line in lines for part in textwrap.wrap(plain(line), 76) or [""]
-    ]
+    return [f"** {part}" for line in lines for part in textwrap.wrap(plain(line), 76) or [""]]
 
 
 def write(path: Path, lines: Iterable[str]) -> None:
     """Write lines into a file, in ASCII."""
     path.write_text("\n".join([*map(plain, lines), ""]), encoding="ascii")
+
+
+def write_notices(path: Path, title: str, notices: Iterable[str]) -> None:
+    """Write a title and a list of notices as text."""
+    lines = [title, "", *(f"- {notice}" for notice in notices), ""]
+    path.write_text("\n".join(lines), encoding="utf-8")
