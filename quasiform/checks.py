@@ -5,8 +5,10 @@ from __future__ import annotations
 import difflib
 import re
 import tomllib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from errno import EISDIR
+from importlib import import_module
 from numbers import Real
 from os import strerror
 from pathlib import Path
@@ -75,12 +77,8 @@ def check_file(path: str | Path) -> None:
 
 def read_toml(path: str | Path, build: Callable[[dict[str, Any]], T]) -> T:
     """Build something from the table in a TOML file; every refusal names the file."""
-    try:
+    with naming(path):
         return build(_toml(path))
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from error
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
 
 
 def _toml(path: str | Path) -> dict[str, Any]:
@@ -139,3 +137,22 @@ def suggestion(word: str, known: Iterable[str]) -> str:
     """Return the nearest of the known words as a question, or all of them."""
     near = difflib.get_close_matches(word, known, n=1)
     return f"did you mean '{near[0]}'?" if near else f"expected one of {', '.join(known)}"
+
+
+def optional(module: str, extra: str, need: str) -> Any:
+    """Import an optional package, or say how to install it."""
+    try:
+        return import_module(module)
+    except (ImportError, OSError) as error:  # OSError: gmsh without the system's libraries
+        raise InputError(f"{need}: pip install 'quasiform[{extra}]'") from error
+
+
+@contextmanager
+def naming(path: str | Path) -> Iterator[None]:
+    """Name the file in every refusal."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or error}") from error
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error

@@ -19,7 +19,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from ..checks import InputError, check_file, check_number
-from ..tools.surface_file import CAD, MESHES, read_surface
+from ..tools.surface_file import KINDS, read_surface
 
 FloatArray = np.ndarray
 CHORD = 0.01  # mm, largest distance of a polygon from the curve it stands for
@@ -96,8 +96,8 @@ def read_outline(path: str | Path, scale: float = 1.0) -> shapely.Polygon:
     .dxf                              lines, polylines, arcs, circles, ellipses and splines of the
                                       model space, also in blocks; ends nearer than 0.05 mm meet,
                                       open lines inside the outline are ignored; needs ezdxf
-    .msh .vtu .vtk .stl .obj .ply     the rim of a flat mesh
-    .step .iges .brep .geo            the rim of a flat surface; needs gmsh
+    .msh .vtu .vtk .stl .obj .ply     the rim of a flat mesh; .stl needs trimesh
+    .step .iges .brep                 the rim of a flat surface; needs gmsh
     .csv .txt .xy .dat                a corner x, y a line, with or without a heading
     ================================  ============================================================
 
@@ -126,12 +126,12 @@ def read_outline(path: str | Path, scale: float = 1.0) -> shapely.Polygon:
             check_file(path)
         if kind == ".dxf":
             outline = _from_lines(_drawn(path, scale), GAP)
-        elif kind in MESHES or kind in CAD:
+        elif kind in KINDS:
             outline = _from_lines(_rim(*read_surface(path, scale)), 0.0)
         elif kind in TABLES:
             outline = _loop(scale * _table(path.read_text(encoding="utf-8-sig")))
         else:
-            known = ", ".join([".dxf", *MESHES, *CAD, *TABLES])
+            known = ", ".join([".dxf", *KINDS, *TABLES])
             raise InputError(f"unknown kind of outline '{kind}': expected one of {known}")
         low_x, low_y, high_x, high_y = outline.bounds
         check_unit(max(high_x - low_x, high_y - low_y), scale)

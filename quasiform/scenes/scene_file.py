@@ -32,6 +32,8 @@ from ..tools.shapes import (
     round_punch,
     tetrahedron_punch,
 )
+from ..tools.surface_file import SurfaceFile
+from ..tools.tool_file import ToolPart
 
 STANDINGS = ("measured", "stated", "exact", "peer", "inferred", "assumed")
 _PACKAGED = Path(__file__).parents[1] / "geometries"
@@ -82,34 +84,6 @@ VECTORS = {
     "origin": "3 numbers, the point of the file in mm such as [200, 100, 0],",
     "place": "2 numbers, x and y in mm such as [10, 0],",
 }
-
-
-@dataclass(frozen=True)
-class SurfaceFile:
-    """A tool's surface in a file: what `surface.from_file` needs."""
-
-    path: Path
-    scale: float = 1.0
-    flip: bool = False
-    rotate: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    spacing: float | None = None
-
-
-@dataclass(frozen=True)
-class ToolPart:
-    """A tool of the file; `friction`, `z` and `tilt` are None where the file leaves them open."""
-
-    name: str
-    role: str
-    motion: str
-    shape: Shape | SurfaceFile
-    friction: float | None = None
-    mass: float = 0.0
-    force: float = 0.0
-    z: float | None = None
-    place: tuple[float, float] = (0.0, 0.0)
-    tilt: bool | None = None
 
 
 @dataclass(frozen=True)
