@@ -18,13 +18,12 @@ FLOW = """
     energy
     result.measures result.files
     model
-    result.run
+    result
     solve
     scenes
-    draw.plot
+    draw
     comparison identification
-    result.saved
-    draw handover
+    handover
     console
     __main__
 """

@@ -14,6 +14,7 @@ import numpy as np
 from ..checks import InputError, check_keys, check_number
 from ..result.files import replaced
 from ..result.sheet import FormedSheet
+from ..result.summary import package_version
 from .differences import Row, Rows, common_forces, matched, other_blank, own_values
 from .mapping import ANGLE, WAYS, way
 from .place import aligned, unfolded
@@ -122,7 +123,6 @@ class Comparison:
         InputError
             If the folder holds a comparison already and `force` is not set, or cannot be written.
         """
-        from ..result.run import package_version
         from .picture import draw
 
         content = {

@@ -17,7 +17,6 @@ centroid, and the mean hides where.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -26,7 +25,7 @@ import numpy as np
 
 from ..checks import InputError, check_number, suggestion
 from ..net.blank import rotation
-from ..result.record import Record, Sheets, locking_angle, scene_of, series, sheet_files  # noqa: F401
+from ..result.record import Record, Sheets, series, sheet_files
 from ..result.sheet import KINDS, FormedSheet, read_sheets, readable
 from .mapping import ANGLE
 from .shells import read_inp
@@ -254,22 +253,10 @@ def _of_record(record: Record, reading: Reading) -> Side:
     return replace(
         _of_sheets(name, record.sheets, reading, where),
         history=_history(record.history),
-        areas=_areas(record),
+        areas=record.areas,
         scene=str(parameters.get("scene_file") or parameters.get("scene", "")),
         locking=record.locking,
     )
-
-
-def _areas(record: Record) -> Mapping[str, tuple[tuple[float, float], float]]:
-    """Named areas of the scene that a run is of; none where it is not known or turned."""
-    from ..scenes import scene_file
-
-    if record.model is not None:
-        return dict(record.model.areas)
-    if isinstance(record.parameters.get("scene"), str) and not record.parameters.get("turn"):
-        with suppress(InputError):
-            return dict(scene_file.load(record.scene).areas)
-    return {}
 
 
 def _of_folder(folder: Path, reading: Reading) -> Side:

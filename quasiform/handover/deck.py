@@ -25,7 +25,7 @@ from ..energy.membrane import Membrane
 from ..energy.weight import GRAVITY, SheetWeight, ToolWeight
 from ..fabric import Fabric, TabulatedLaw, ThreeStageLaw
 from ..model import Scene
-from ..result.run import package_version
+from ..result.summary import package_version
 from ..tools.shapes import Tool
 from .inp import DENSITY
 from .keywords import comment, elements, in_lines, numbers, rows, write

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..checks import InputError, suggestion
 from ..result.files import replaced
-from ..result.run import package_version
+from ..result.summary import package_version
 from . import drape, inp, table
 from .fibres import NOT_MODELLED, Fibres, carry, read_formed
 from .keywords import write_notices

@@ -10,13 +10,16 @@ import csv
 import json
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
 from ..checks import InputError
+from ..scenes import scene_file
 from .sheet import FormedSheet, read_sheets
 
 if TYPE_CHECKING:
@@ -78,6 +81,8 @@ class Record:
         None for a run that is not saved.
     model : Scene or None
         What was solved; None for a run read from its folder.
+    gripped : (n,) bool array or None
+        Nodes of the last sheet that are held in all directions.
     """
 
     summary: dict[str, Any]
@@ -85,6 +90,7 @@ class Record:
     sheets: Sheets
     folder: Path | None = None
     model: Scene | None = field(default=None, repr=False)
+    gripped: np.ndarray | None = field(default=None, repr=False)
 
     @classmethod
     def read(cls, folder: str | Path) -> Record:
@@ -215,6 +221,13 @@ class Record:
             return dict(vars(self.model.fabric))
         given = self.parameters.get("fabric")
         return given if isinstance(given, dict) else {}
+
+    @cached_property
+    def areas(self) -> dict[str, tuple[tuple[float, float], float]]:
+        """Centre and radius of the named areas on the flat sheet, mm; none where not known."""
+        if self.model is not None:
+            return dict(self.model.areas)
+        return named_areas(self.parameters, self.folder)
 
     @property
     def locking(self) -> float | None:
@@ -384,6 +397,17 @@ def scene_of(parameters: dict[str, Any], folder: Path) -> str:
             return str(path)
     looked = ", ".join(dict.fromkeys(str(path.parent) for path in places))
     raise InputError(f"{folder}: its scene {given} is in none of {looked}")
+
+
+def named_areas(
+    parameters: dict[str, Any], folder: Path
+) -> dict[str, tuple[tuple[float, float], float]]:
+    """Named areas of the scene that a run is of; none where it is not known or turned."""
+    if not isinstance(parameters.get("scene"), str) or parameters.get("turn"):
+        return {}
+    with suppress(InputError):
+        return dict(scene_file.load(scene_of(parameters, folder)).areas)
+    return {}
 
 
 def locking_angle(parameters: dict[str, Any]) -> float | None:

@@ -148,11 +148,15 @@ class FormedSheet:
         given = self.cell_fields.get("shear_angle")
         return self.sheared(self.along) if given is None else np.ravel(given)
 
+    def fibres(self, along: FloatArray) -> FloatArray:
+        """(2, m, 3) formed unit vectors of fibres along (2, 2) flat unit vectors, one a row."""
+        formed = np.einsum("mij,fj->fmi", self.F, along)
+        return formed / np.linalg.norm(formed, axis=2)[:, :, None]
+
     def sheared(self, along: FloatArray) -> FloatArray:
         """(m,) signed shear angle, degrees, of fibres along (2, 2) flat unit vectors, one a row."""
-        a, b = np.einsum("mij,fj->fmi", self.F, along)
-        sine = (a * b).sum(1) / np.sqrt((a * a).sum(1) * (b * b).sum(1))
-        return np.degrees(np.arcsin(np.clip(sine, -1.0, 1.0)))
+        a, b = self.fibres(along)
+        return np.degrees(np.arcsin(np.clip((a * b).sum(1), -1.0, 1.0)))
 
     @cached_property
     def blank(self) -> Blank:
