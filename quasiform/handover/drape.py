@@ -14,12 +14,12 @@ Altair Radioss 2021, Starter keyword /DRAPE; Altair OptiStruct 2021, bulk data e
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import namedtuple
 from pathlib import Path
 
 import numpy as np
 
-from .fibres import Fibres
+from .fibres import FAMILIES, Fibres
 from .keywords import write
 
 FloatArray = np.ndarray
@@ -29,40 +29,20 @@ NO_WEIGHT = "areal weight is not in the table: it falls as the thinning does"
 GENERAL = (NOT_RUN, NO_WEIGHT)  # true of every part
 
 
-@dataclass(frozen=True)
-class Code:
-    """How a code writes its lines: each a pattern that is filled by `str.format`."""
-
-    file: str
-    mark: str
-    start: tuple[str, ...]
-    nodes: tuple[str, ...]
-    node: str
-    cells: tuple[str, ...]
-    cell: str
-    table: str
-    row: str
-
+Code = namedtuple("Code", "file mark start nodes node cells cell table row")
+"""How a code writes: name of the file, mark of comments, lines, and patterns of `str.format`."""
 
 RADIOSS = Code(
-    file="drape_0000.rad",
-    mark="#",
-    start=("#RADIOSS STARTER",),
-    nodes=("/NODE",),
-    node="{0:>10}{1:>20.9g}{2:>20.9g}{3:>20.9g}",
-    cells=("/SH3N/1",),
-    cell="{0:>10}{1:>10}{2:>10}{3:>10}",
+    *("drape_0000.rad", "#", ["#RADIOSS STARTER"]),
+    *(["/NODE"], "{:>10}{:>20.9g}{:>20.9g}{:>20.9g}"),
+    *(["/SH3N/1"], "{:>10}{:>10}{:>10}{:>10}"),
     table="/DRAPE/{number}\n{family} plies of {part}",
     row="{kind:<10}{label:>10}{thinning:>20.6f}{angle:>20.4f}",
 )
 OPTISTRUCT = Code(
-    file="drape.fem",
-    mark="$",
-    start=(),
-    nodes=(),
-    node="GRID*   {0:>16}                {1:>16.8E}{2:>16.8E}\n*       {3:>16.8E}",
-    cells=(),
-    cell="CTRIA3  {0:>8}       1{1:>8}{2:>8}{3:>8}",
+    *("drape.fem", "$", []),
+    *([], "GRID*   {:>16}                {:>16.8E}{:>16.8E}\n*       {:>16.8E}"),
+    *([], "CTRIA3  {:>8}       1{:>8}{:>8}{:>8}"),
     table="$ {family} plies\nDRAPE   {number:>8}",
     row="+       ELEM    {label:>8}{thinning:>8.5f}{angle:>8.2f}",
 )
@@ -98,7 +78,7 @@ def drape(fibres: Fibres, folder: Path, code: Code, reference: FloatArray) -> tu
         lines += code.cells
         lines += [code.cell.format(*v) for v in zip(target.elements, *corners.T, strict=True)]
     thinning = fibres.thickness_ratio
-    for number, family in enumerate(("warp", "weft"), 1):
+    for number, family in enumerate(FAMILIES, 1):
         angle = fibres.angle(family, projected)
         lines.append(code.table.format(number=number, family=family, part=fibres.name))
         lines += [
