@@ -1,10 +1,11 @@
-"""Lines of keyword files: labels, numbers, sets and comments in plain ASCII."""
+"""Keyword files from templates, in plain ASCII."""
 
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -17,38 +18,55 @@ def numbers(values: Iterable[float], digits: int = 9) -> str:
     return ", ".join(f"{value:.{digits}g}" for value in values)
 
 
-def rows(labels: Iterable[int], values: FloatArray) -> Iterator[str]:
+def rows(labels: Iterable[int], values: Iterable[Any]) -> str:
     """Lines of a label and its numbers."""
-    for label, row in zip(labels, values, strict=True):
-        yield f"{label}, {numbers(np.atleast_1d(row))}"
+    both = zip(labels, values, strict=True)
+    return "\n".join(f"{label}, {numbers(np.atleast_1d(row))}" for label, row in both)
 
 
-def elements(labels: Iterable[int], corners: Iterable[Iterable[int]]) -> Iterator[str]:
+def elements(labels: Iterable[int], corners: Iterable[Iterable[int]]) -> str:
     """Lines of a label and the labels of its nodes."""
-    for label, nodes in zip(labels, corners, strict=True):
-        yield ", ".join(map(str, [label, *nodes]))
+    both = zip(labels, corners, strict=True)
+    return "\n".join(", ".join(map(str, [label, *nodes])) for label, nodes in both)
 
 
-def in_lines(words: Iterable[object], most: int = 16) -> Iterator[str]:
+def in_lines(words: Iterable[object], most: int = 16) -> str:
     """Lines of at most `most` words each: labels of a set, constants of a material."""
     words = list(map(str, words))
-    for first in range(0, len(words), most):
-        yield ", ".join(words[first : first + most])
+    return "\n".join(", ".join(words[k : k + most]) for k in range(0, len(words), most))
 
 
-def plain(line: str) -> str:
-    """Return a line in ASCII."""
-    return line.translate(PLAIN).encode("ascii", "replace").decode()
+def plain(text: str) -> str:
+    """Return a text in ASCII."""
+    return text.translate(PLAIN).encode("ascii", "replace").decode()
 
 
-def comment(lines: Iterable[str]) -> list[str]:
+def comment(lines: Iterable[str]) -> str:
     """Comment lines of at most 80 characters."""
-    return [f"** {part}" for line in lines for part in textwrap.wrap(plain(line), 76) or [""]]
+    wrapped = [part for line in lines for part in textwrap.wrap(plain(line), 76) or [""]]
+    return "\n".join(f"** {part}" for part in wrapped)
+
+
+def fill(template: str, path: Path, **values: Any) -> None:
+    """Write a file from a template in the folder `templates`; empty lines are left out."""
+    import jinja2
+
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(Path(__file__).with_name("templates")),
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {
+        filter.__name__: filter for filter in (numbers, rows, elements, in_lines, comment)
+    }
+    write(path, environment.get_template(template).render(values).splitlines())
 
 
 def write(path: Path, lines: Iterable[str]) -> None:
     """Write lines into a file, in ASCII."""
-    path.write_text("\n".join([*map(plain, lines), ""]), encoding="ascii")
+    kept = (plain(line) for line in lines if line.strip())
+    path.write_text("\n".join([*kept, ""]), encoding="ascii")
 
 
 def write_notices(path: Path, title: str, notices: Iterable[str]) -> None:
