@@ -15,10 +15,10 @@ from quasiform.comparison import FILES, compare, picture
 from quasiform.comparison.mapping import carried
 from quasiform.comparison.place import rim, unfolded
 from quasiform.comparison.read import Reading, read_side
-from quasiform.comparison.table import read_table
 from quasiform.console.cli import main
 from quasiform.net.blank import rotation
 from quasiform.result.sheet import FormedSheet
+from quasiform.tables import read_table
 
 HALF = 100.0  # mm
 

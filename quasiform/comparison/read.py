@@ -27,9 +27,9 @@ from ..checks import InputError, check_number, suggestion
 from ..net.blank import rotation
 from ..result.record import Record, Sheets, series, sheet_files
 from ..result.sheet import KINDS, FormedSheet, read_sheets, readable
+from ..tables import name_of, read_table
 from .mapping import ANGLE
 from .shells import read_inp
-from .table import name_of, read_table
 
 if TYPE_CHECKING:
     from ..result.run import Result

@@ -16,9 +16,9 @@ import numpy as np
 
 from ..checks import InputError, check_number
 from ..comparison.mapping import closest, on_surface, spacing
-from ..comparison.table import read_table
 from ..result.files import replaced
 from ..result.sheet import FormedSheet
+from ..tables import read_table
 from ..tools.surface_file import normals_of, optional
 from .fibres import limits_of, read_formed
 from .keywords import write_notices
