@@ -16,7 +16,7 @@ from ..result.files import replaced
 from ..result.sheet import FormedSheet
 from ..result.summary import package_version
 from .differences import Row, Rows, common_forces, matched, other_blank, own_values
-from .mapping import ANGLE, WAYS, way
+from .mapping import ANGLE, WAYS
 from .place import aligned, unfolded
 from .read import SAME, Reading, Side, read_side
 
@@ -28,6 +28,11 @@ FloatArray = np.ndarray
 FILES = ("compare.json", "compare.csv", "difference.vtu", "difference.png", "compare.md")
 STANDINGS = ("measured", "stated", "exact", "peer", "prototype", "inferred", "assumed", "own")
 ALIGN = ("none", "shift", "rigid")
+BANDS = (  # with a word in the quantities that they are for
+    ("band_angle", "γ", "shear angle"),
+    ("band_outline", "outline", "outline"),
+    ("band_force", "force", "force"),
+)
 ON_SHEET = 0.9  # of the reference: with less of it on the result they are hardly in one place
 
 
@@ -220,9 +225,9 @@ def compare(
         For wrong input, and where the two cannot be compared.
     """
     _check_choices(standing, by, align, mirror)
-    numbers = {"within": within, "travel": travel, "band_angle": band_angle}
-    numbers |= {"band_outline": band_outline, "band_force": band_force}
-    for name, value in numbers.items():
+    limits = {"within": within, "travel": travel, "band_angle": band_angle}
+    limits |= {"band_outline": band_outline, "band_force": band_force}
+    for name, value in limits.items():
         if value is not None:
             check_number(name, value, zero_allowed=True)
     if "reference_travel" in reading:
@@ -231,53 +236,35 @@ def compare(
     how = Reading(**reading)
     mine, other = read_side(result, Reading(signed=how.signed)), read_side(reference, how)
     goal, notes = _common_travel(mine, other, travel)
-    (sheet, words), (theirs, their_words) = mine.at(goal), other.at(goal)
-    notes += [f"result: {words}", f"reference: {their_words}", *other.notes]
-    if mirror:
-        theirs = unfolded(theirs, tuple(mirror), how.signed)
-        notes.append(f"reference unfolded at {' and '.join(f'{p} = 0' for p in mirror)}")
-    if align != "none":
-        theirs, words = aligned(theirs, sheet, align == "rigid")
-        notes.append(f"reference {words}")
-    warnings = other_blank(sheet, theirs)
-    if mine.scene and other.scene and mine.scene != other.scene:
-        notes.append(f"two scenes: {mine.scene} (result) and {other.scene} (reference)")
-    rows, field, gamma = Rows(standing), None, None
+    sheet, theirs = _in_place(mine, other, goal, tuple(mirror), align, how.signed, notes)
+    warnings, rows = other_blank(sheet, theirs), Rows(standing, notes)
+    field = gamma = None
     if ANGLE in sheet.point_fields and ANGLE in theirs.point_fields:
-        how_matched = way(by, sheet, theirs)
-        field, gamma, share = matched(sheet, theirs, how_matched, within)
+        field, gamma, share = matched(sheet, theirs, by, within, notes)
         warnings += _off_sheet(share, field is sheet, align)
-        notes.append(_matched_in_words(how_matched, field is sheet, share))
         whole = share > 1 - 1e-9 and not warnings
-        whole &= ANGLE in sheet.cell_fields and ANGLE in theirs.cell_fields
-        notes.append(_source_in_words(whole))
-        own = own_values((sheet, theirs), field, gamma, whole)
+        own = own_values((sheet, theirs), field, gamma, whole, notes)
         rows.angles(own, field, gamma, "γ" if how.signed else "|γ|", band_angle)
-        named = mine.areas if areas is None else areas
-        notes += rows.areas(own, named, band_angle, "triangle" if whole else "point")
+        rows.areas(own, mine.areas if areas is None else areas, band_angle)
     rows.outlines(sheet, theirs, band_outline)
     forces = common_forces(mine, other, goal)
-    if forces is not None:
-        rows.forces(forces, band_force)
+    rows.forces(forces, band_force)
     for name, side in (("result", mine), ("reference", other)):
         rows.energies(name, side, goal)
     if not rows.rows:
         raise InputError(
             f"{other.name}: nothing in common to compare: no field of γ, outline or force"
         )
-    for what, quantity in (("angle", "γ"), ("outline", "outline"), ("force", "force")):
-        present = any(quantity in row.quantity for row in rows.rows)
-        if numbers[f"band_{what}"] is not None and not present:
-            what = "shear angle" if what == "angle" else what
+    for key, word, what in BANDS:
+        if limits[key] is not None and not any(word in row.quantity for row in rows.rows):
             raise InputError(f"{other.name}: a band for the {what}, but there is none to compare")
     names = mine.name, other.name
     if names[0] == names[1] and all(isinstance(one, str | Path) for one in (result, reference)):
         names = str(result), str(reference)
-    notes = [*(f"warning: {words}" for words in warnings), *notes]
+    notes = (*(f"warning: {words}" for words in warnings), *notes)
     locking = tuple(side.locking for side in (mine, other) if side.locking)
-    both = (sheet, theirs)
-    made = tuple(rows.rows), tuple(notes)
-    return Comparison(names, *made, goal, both, field, gamma, forces, locking)
+    found = (names, tuple(rows.rows), notes, goal, (sheet, theirs))
+    return Comparison(*found, field, gamma, forces, locking)
 
 
 def _check_choices(standing: str, by: str, align: str, mirror: Sequence[str]) -> None:
@@ -316,21 +303,27 @@ def _common_travel(mine: Side, other: Side, travel: float | None) -> tuple[float
     return travel, notes
 
 
-def _matched_in_words(by: str, of_result: bool, share: float) -> str:
-    at, of = ("result", "the area") if of_result else ("reference", "them")
-    return f"matched {WAYS[by]}, at the {at}'s points; {100 * share:.1f} % of {of} compared"
-
-
-def _source_in_words(whole: bool) -> str:
-    source = (
-        "of each sheet's own triangles, as in summary.json (there of |γ| at the end)"
-        if whole
-        else "at the points compared alone: not those of summary.json"
-    )
-    return (
-        "differences at points, where a sheet of triangles has the mean of those around; "
-        f"means, percentile, maxima and areas {source}"
-    )
+def _in_place(
+    mine: Side,
+    other: Side,
+    travel: float | None,
+    mirror: tuple[str, ...],
+    align: str,
+    signed: bool,
+    notes: list[str],
+) -> tuple[FormedSheet, FormedSheet]:
+    """Both sheets at a travel, the reference in its place."""
+    (sheet, words), (theirs, their_words) = mine.at(travel), other.at(travel)
+    notes += [f"result: {words}", f"reference: {their_words}", *other.notes]
+    if mirror:
+        theirs = unfolded(theirs, mirror, signed)
+        notes.append(f"reference unfolded at {' and '.join(f'{p} = 0' for p in mirror)}")
+    if align != "none":
+        theirs, words = aligned(theirs, sheet, align == "rigid")
+        notes.append(f"reference {words}")
+    if mine.scene and other.scene and mine.scene != other.scene:
+        notes.append(f"two scenes: {mine.scene} (result) and {other.scene} (reference)")
+    return sheet, theirs
 
 
 def _off_sheet(share: float, of_result: bool, align: str) -> list[str]:

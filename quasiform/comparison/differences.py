@@ -13,18 +13,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from ..checks import InputError
 from ..result.measures import percentile
 from ..result.sheet import FormedSheet
-from .mapping import ANGLE, carried, on_surface
+from .mapping import ANGLE, WAYS, carried, on_surface, way
 from .place import rim
 from .read import SAME, Side
 
 FloatArray = np.ndarray
-Own = list[tuple[FloatArray, FloatArray, FloatArray | None]]
 STEP = 1.0  # mm between the points of an outline
 SAME_BLANK = 0.02  # of their area: flat blanks that differ by more are two
 FEW = 10  # points in an area: with fewer their mean says little
@@ -75,11 +75,19 @@ class Row:
         return ["" if value is None else format(value, form) for value in values]
 
 
+class Own(NamedTuple):
+    """Of result and reference: shear angles, areas and flat places of what they are known by."""
+
+    what: str
+    values: list[tuple[FloatArray, FloatArray, FloatArray | None]]
+
+
 @dataclass
 class Rows:
     """Rows in the making, with the standing of the reference."""
 
     standing: str
+    notes: list[str]
     rows: list[Row] = field(default_factory=list)
 
     def both(
@@ -108,9 +116,12 @@ class Rows:
         compared = np.isfinite(gamma[0])
         w, off = field.weights[compared], (gamma[0] - gamma[1])[compared]
         far = np.abs(off)
-        self.both(f"mean of {word}", "deg", *(np.average(v, weights=w) for v, w, _ in own))
-        self.both(f"99th percentile of {word}", "deg", *(percentile(v, w, 0.99) for v, w, _ in own))
-        self.both(f"maximum of {word}", "deg", *(v.max() for v, *_ in own))
+        for name, measure in (
+            ("mean", lambda v, w: np.average(v, weights=w)),
+            ("99th percentile", lambda v, w: percentile(v, w, 0.99)),
+            ("maximum", lambda v, _: v.max()),
+        ):
+            self.both(f"{name} of {word}", "deg", *(measure(v, w) for v, w, _ in own.values))
         for name, value, limit in (
             ("mean", np.average(off, weights=w), None),
             ("mean absolute", np.average(far, weights=w), None),
@@ -121,33 +132,31 @@ class Rows:
             self.off(f"difference of {word}, {name}", "deg", value, limit)
 
     def areas(
-        self,
-        own: Own,
-        areas: Mapping[str, tuple[tuple[float, float], float]],
-        band: float | None,
-        what: str,
-    ) -> list[str]:
-        """Add the means over named areas of the flat blank; notes."""
-        if any(flat is None for *_, flat in own):
+        self, own: Own, areas: Mapping[str, tuple[tuple[float, float], float]], band: float | None
+    ) -> None:
+        """Add the means over named areas of the flat blank."""
+        if any(X is None for *_, X in own.values):
             words = "no means over areas: flat coordinates are not known there"
-            return [words] if areas else []
-        notes, few = [], []
+            self.notes += [words] if areas else []
+            return
+        few = []
         for name, (centre, radius) in areas.items():
-            inside = [np.linalg.norm(X - np.asarray(centre), axis=1) <= radius for *_, X in own]
+            inside = [np.linalg.norm(X - centre, axis=1) <= radius for *_, X in own.values]
             counts = [int(one.sum()) for one in inside]
             if not min(counts):
-                notes.append(f"area {name}: no {what} of both lies in it")
+                self.notes.append(f"area {name}: no {own.what} of both lies in it")
                 continue
             means = [
                 np.average(np.abs(values[one]), weights=w[one])
-                for (values, w, _), one in zip(own, inside, strict=True)
+                for (values, w, _), one in zip(own.values, inside, strict=True)
             ]
             over = " and ".join(map(str, dict.fromkeys(counts)))
-            over += f" {what}" + "s" * (max(counts) > 1)
+            over += f" {own.what}" + "s" * (max(counts) > 1)
             self.both(f"mean |γ| in area {name}", "deg", *means, band, over)
             if min(counts) < FEW:
                 few.append(f"{name} ({over})")
-        return notes + [f"means of few say little of an area: {', '.join(few)}"] * bool(few)
+        if few:
+            self.notes.append(f"means of few say little of an area: {', '.join(few)}")
 
     def outlines(self, sheet: FormedSheet, theirs: FormedSheet, band: float | None) -> None:
         """Add the distances of the outlines, and the areas within."""
@@ -170,8 +179,10 @@ class Rows:
 
     # The histories
 
-    def forces(self, forces: FloatArray, band: float | None) -> None:
+    def forces(self, forces: FloatArray | None, band: float | None) -> None:
         """Add the forces at the end of the common travel and along it (`common_forces`)."""
+        if forces is None:
+            return
         s, mine, theirs = forces
         a, b = mine[-1], theirs[-1]
         self.both(f"force at {s[-1]:.6g} mm", "N", a, b)
@@ -201,43 +212,57 @@ class Rows:
 
 
 def matched(
-    sheet: FormedSheet, theirs: FormedSheet, by: str, within: float | None
+    sheet: FormedSheet, theirs: FormedSheet, by: str, within: float | None, notes: list[str]
 ) -> tuple[FormedSheet, FloatArray, float]:
     """Where the difference lives, both shear angles there, and the share that is compared."""
+    by = way(by, sheet, theirs)
     if len(theirs.triangles):
-        field = sheet
+        field, words = sheet, ("result", "the area")
         gamma = np.stack([sheet.point_fields[ANGLE], carried(theirs, sheet, by, within)])
     else:
-        field = theirs
+        field, words = theirs, ("reference", "them")
         gamma = np.stack([carried(sheet, theirs, by, within), theirs.point_fields[ANGLE]])
         if field.flat is None and sheet.flat is not None:  # for the means over areas
             field = replace(field, flat=on_surface(sheet.flat, sheet, field.points)[0])
-    compared = np.isfinite(gamma).all(0)
+    compared, weights = np.isfinite(gamma).all(0), field.weights
     if not compared.any():
         raise InputError(
             "no point of the reference lies on the result: is it in the same place and unit? "
             "(align, scale)"
         )
-    weights = field.weights
-    return field, np.where(compared, gamma, np.nan), float(weights[compared].sum() / weights.sum())
+    share = float(weights[compared].sum() / weights.sum())
+    notes.append(
+        f"matched {WAYS[by]}, at the {words[0]}'s points; {100 * share:.1f} % of {words[1]} "
+        "compared"
+    )
+    return field, np.where(compared, gamma, np.nan), share
 
 
 def own_values(
-    sheets: tuple[FormedSheet, FormedSheet], field: FormedSheet, gamma: FloatArray, whole: bool
+    sheets: tuple[FormedSheet, FormedSheet],
+    field: FormedSheet,
+    gamma: FloatArray,
+    whole: bool,
+    notes: list[str],
 ) -> Own:
-    """Shear angles, areas and flat places of both: of their triangles, or where compared."""
+    """Shear angles of both, of their triangles if these are known and compared as a whole."""
+    whole = whole and all(ANGLE in sheet.cell_fields for sheet in sheets)
+    source = (
+        "of each sheet's own triangles, as in summary.json (there of |γ| at the end)"
+        if whole
+        else "at the points compared alone: not those of summary.json"
+    )
+    notes.append(
+        "differences at points, where a sheet of triangles has the mean of those around; "
+        f"means, percentile, maxima and areas {source}"
+    )
     if whole:
-        return [
-            (
-                sheet.cell_fields[ANGLE],
-                sheet.flat_areas,
-                None if sheet.flat is None else sheet.flat[sheet.triangles].mean(1),
-            )
-            for sheet in sheets
-        ]
+        flat = [None if s.flat is None else s.flat[s.triangles].mean(1) for s in sheets]
+        fields = [(sheet.cell_fields[ANGLE], sheet.flat_areas) for sheet in sheets]
+        return Own("triangle", [(*f, X) for f, X in zip(fields, flat, strict=True)])
     compared = np.isfinite(gamma[0])
-    flat = None if field.flat is None else field.flat[compared]
-    return [(values[compared], field.weights[compared], flat) for values in gamma]
+    X = None if field.flat is None else field.flat[compared]
+    return Own("point", [(g[compared], field.weights[compared], X) for g in gamma])
 
 
 def other_blank(sheet: FormedSheet, theirs: FormedSheet) -> list[str]:
