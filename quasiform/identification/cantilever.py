@@ -27,7 +27,7 @@ import numpy as np
 
 from ..checks import InputError, check_number
 from ..energy.weight import GRAVITY
-from ..theory import heavy_elastica, heavy_elastica_shape
+from ..theory import heavy_elastica_shape
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
@@ -93,7 +93,7 @@ def from_tip(x: Numbers, drop: Numbers, length: Numbers, areal_weight: float) ->
     w = _weight(areal_weight)
     _check_positive(length=L, x=x, drop=drop)
     _check_reach("tip", x, drop, L)
-    fits = [_fit(lambda k, tip=tip: _tip(k) - tip) for tip in np.c_[x / L, drop / L]]
+    fits = [_fit(lambda k, tip=tip: _curve(k)(1.0) - tip) for tip in np.c_[x / L, drop / L]]
     k, misfit = np.array([(k, np.linalg.norm(distance)) for k, distance, _ in fits]).T
     classical = np.mean(w * L**3 / _peirce(np.arctan2(drop, x)))
     rms = np.sqrt(np.mean((L * misfit) ** 2))
@@ -119,7 +119,7 @@ def from_profile(x: FloatArray, drop: FloatArray, areal_weight: float, length: f
     k, distances, slope = _fit(lambda k: _normal_distances(k, points))
     B, squares = w * L**3 / k, distances @ distances
     deviation = np.sqrt(squares / (len(x) - 1) / (slope @ slope))  # of log k, hence relative
-    classical = w * L**3 / _peirce(np.arctan2(*_tip(k)[::-1]))
+    classical = w * L**3 / _peirce(_chord(k))
     misfit = L * np.sqrt(squares / len(x))
     return Stiffness(B, float(B * deviation), float(classical), float(misfit))
 
@@ -142,19 +142,17 @@ def _load_of_chord(angle: float) -> float:
     tangent = np.tan(np.radians(angle))
     low, high = np.log(4 * tangent), np.log(16 * tangent + 4 * tangent**2)
 
-    def excess(log_k: float) -> float:
-        return np.arctan2(*_tip(float(np.exp(log_k)))[::-1]) - np.radians(angle)
+    log_k = brentq(lambda p: _chord(float(np.exp(p))) - np.radians(angle), low, high, xtol=1e-12)
+    return float(np.exp(log_k))
 
-    return float(np.exp(brentq(excess, low, high, xtol=1e-12)))
+
+def _chord(k: float) -> float:
+    """Angle of the chord to the tip, radians."""
+    x, drop = _curve(k)(1.0)
+    return np.arctan2(drop, x)
 
 
 @lru_cache(maxsize=256)
-def _tip(k: float) -> FloatArray:
-    """Tip (x, drop) of the elastica over L."""
-    return np.array(heavy_elastica(k)[:2])
-
-
-@lru_cache(maxsize=64)
 def _curve(k: float) -> CubicSpline:
     """The elastica (x, drop) over L as a function of the station s."""
     from scipy.interpolate import CubicSpline

@@ -1,12 +1,10 @@
 """Fit of the six parameters of the three-stage law (Schäfer et al., Eq. 9) to forces.
 
-The forces of all tests are compared with a model of each test under the law, every row weighted
-with its standard deviation; nothing is smoothed first. Two algorithms: bounded least squares
-(scipy's `least_squares`), which gives intervals, and Nelder-Mead as in the paper.
-
-The third stage is fitted only where the tests show one; otherwise its onset and stiffness are kept
-at the given values (`keep`) or left out. A parameter whose interval reaches zero, or is wider than
-the parameter is large, is reported as not identified.
+The forces of all tests are compared with the power balance, or with finite elements (`inverse`),
+under the law, every row weighted with its standard deviation. scipy's bounded least squares gives
+the intervals too; Nelder-Mead is the algorithm of the paper. The third stage is fitted only where
+the tests show one; otherwise its onset and stiffness are kept as given (`keep`) or left out. A
+parameter whose interval reaches zero is reported as not identified.
 """
 
 from __future__ import annotations
@@ -68,14 +66,11 @@ class Unknowns:
     def __init__(self, start: ThreeStageLaw, free: Sequence[str]) -> None:
         self.free = [name for name in NAMES if name in free]
         self.values = {name: getattr(start, name) for name in NAMES}
-        strain, stiffest = start.S_ini / start.C_ini, 1e-3
+        strain, least = start.S_ini / start.C_ini, 1e-3 * start.C_ini
         if "S_ini" in self.free:
             self.values["S_ini"] = strain
-        else:
-            stiffest = strain / LONGEST
-        least = {"C_mid": 1e-3 * start.C_ini, "C_lo": 1e-3 * start.C_ini}
         limits = {
-            "C_ini": (stiffest, 1e3),
+            "C_ini": (1e-3 if "S_ini" in self.free else strain / LONGEST, 1e3),
             "S_ini": (1e-4 / strain, LONGEST / strain),
             "C_mid": (0.0, 1e4),
             "dS_mid": (1e-3, 1e3),
@@ -83,7 +78,8 @@ class Unknowns:
             "I_lo": ((LONGEST + 0.01) / start.I_lo, 1.0 / start.I_lo),
         }
         values = np.array([self.values[name] for name in self.free])
-        self.scale = np.maximum(values, [least.get(name, 0.0) for name in self.free])
+        slope = np.array([name in ("C_mid", "C_lo") for name in self.free])  # may be zero
+        self.scale = np.where(slope, np.maximum(values, least), values)
         self.bounds = np.array([limits[name] for name in self.free]).T
         self.start = np.clip(values / self.scale, *(self.bounds + np.array([[1e-9], [-1e-9]])))
 
@@ -102,6 +98,14 @@ class Unknowns:
             rise = of(self.law(above)) - of(self.law(below))
             columns.append(rise / (above - below)[step > 0])
         return np.stack(columns, axis=-1)
+
+    def residuals(self, tests: Sequence[Forces], p: FloatArray) -> Sequence[FloatArray]:
+        """Residuals (n,) of all tests over their standard deviations, and derivatives (n, k)."""
+        parts = zip(*(test.residual(self, p) for test in tests), strict=True)
+        return [np.concatenate(part) for part in parts]
+
+
+Trial = tuple[Unknowns, "OptimizeResult"]
 
 
 def fit(
@@ -150,8 +154,8 @@ def search(tests: Sequence[Forces], unknowns: Unknowns, tolerance: float = 1e-10
     from scipy.optimize import least_squares
 
     @lru_cache(maxsize=1)
-    def both(point: bytes) -> tuple[FloatArray, FloatArray]:
-        return _residuals(tests, unknowns, np.frombuffer(point))
+    def both(point: bytes) -> Sequence[FloatArray]:
+        return unknowns.residuals(tests, np.frombuffer(point))
 
     if not np.isfinite(both(unknowns.start.tobytes())[0]).all():
         raise InputError("a test finds no equilibrium under the law of the power balance")
@@ -166,17 +170,6 @@ def search(tests: Sequence[Forces], unknowns: Unknowns, tolerance: float = 1e-10
     )
 
 
-def _residuals(
-    tests: Sequence[Forces], unknowns: Unknowns, p: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Residuals (n,) of all tests and derivatives (n, k)."""
-    parts = zip(*(test.residual(unknowns, p) for test in tests), strict=True)
-    return tuple(np.concatenate(part) for part in parts)
-
-
-Trial = tuple[Unknowns, "OptimizeResult"]
-
-
 def choose(trials: Sequence[Trial]) -> Trial:
     """Best of several fits, by Bayes' criterion: each parameter of a third stage has a cost.
 
@@ -187,9 +180,9 @@ def choose(trials: Sequence[Trial]) -> Trial:
 
     def score(trial: Trial) -> tuple[float, float]:
         unknowns, found = trial
-        late = len(set(unknowns.free) & set(LOCKING))
-        off = float(np.linalg.norm(found.x - unknowns.start))
-        return round(2 * found.cost / noise + late * np.log(n), 6), off
+        price = len(set(unknowns.free) & set(LOCKING)) * np.log(n)
+        distance = np.linalg.norm(found.x - unknowns.start)
+        return round(2 * found.cost / noise + price, 6), float(distance)
 
     return min(trials, key=score)
 
@@ -276,5 +269,5 @@ def _nelder_mead(tests: Sequence[Forces], unknowns: Unknowns) -> OptimizeResult:
         if found.fun > (1 - 1e-6) * best:
             break
         best = found.fun
-    found.fun, found.jac = _residuals(tests, unknowns, p)
+    found.fun, found.jac = unknowns.residuals(tests, p)
     return found

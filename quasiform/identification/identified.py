@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, astuple, dataclass, replace
 from datetime import date
 from pathlib import Path
@@ -77,8 +77,7 @@ class Identification:
                 from .picture import save_picture
 
                 columns = self.stress()
-                rows = np.column_stack(list(columns.values())).tolist()
-                _write(folder / "stress.csv", list(columns), rows)
+                _write(folder / "stress.csv", columns, np.transpose([*columns.values()]).tolist())
                 save_picture(self, folder / "identification.png")
         return Path(out)
 
@@ -131,10 +130,8 @@ def identify(source: str | Path | Campaign, **given: Any) -> Identification:
     .. [1] J. Cao et al., Composites Part A 39 (2008) 1037-1053, Eq. 18, for the coefficient of
        Eq. 10 that conserves energy.
     """
-    if isinstance(source, Campaign):
-        campaign = replace(source, **given)
-    else:
-        campaign = load(source, **given)
+    own = isinstance(source, Campaign)
+    campaign = replace(source, **given) if own else load(source, **given)
     fabric, curve, fitted = campaign.fabric, None, None
     parameters: list[Parameter] = []
     notices = [notice for test in campaign.shear for notice in test.curve.notices]
@@ -175,16 +172,12 @@ def _shear(campaign: Campaign) -> tuple[StressCurve, Fit | None]:
     return curve, fitted
 
 
-def _remarks(fitted: Fit, curve: StressCurve) -> list[str]:
-    found, loose = [], _in_state(fitted, "not identified")
-    if loose:
-        found.append(f"not identified by these tests: {loose}")
+def _remarks(fitted: Fit, curve: StressCurve) -> Iterator[str]:
+    if names := _in_state(fitted, "not identified"):
+        yield f"not identified by these tests: {names}"
     if _in_state(fitted, "not tested"):
         words = "the law has none" if fitted.law.C_lo == 0 else "the law has it from there on"
-        found.append(
-            f"no locking up to {curve.high:.1f} degrees: {words} (keep C_lo and I_lo to set it)"
-        )
-    return found
+        yield f"no locking up to {curve.high:.1f} degrees: {words} (keep C_lo and I_lo to set it)"
 
 
 def _in_state(fitted: Fit | None, state: str) -> str:
@@ -242,12 +235,11 @@ def _provenance(
     return entries
 
 
-def _write(path: Path, head: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
-    """Write a CSV file; a number that is not known leaves its cell empty."""
+def _write(path: Path, head: Iterable[str], rows: Iterable[Iterable[Any]]) -> None:
+    """Write a CSV file; the cell of an unknown number is empty."""
 
     def cell(value: Any) -> Any:
-        number = isinstance(value, float)
-        return ("" if np.isnan(value) else f"{value:.8g}") if number else value
+        return f"{value:.8g}".replace("nan", "") if isinstance(value, float) else value
 
     with path.open("w", newline="", encoding="utf-8") as file:
         csv.writer(file).writerows([head, *(map(cell, row) for row in rows)])

@@ -1,17 +1,16 @@
 """Inverse identification: the six parameters from tests that are solved by finite elements.
 
 Each off-axis test is solved at a few displacements, more of them where the force rises steeply.
-Between these, the ratio of its force to the power balance of inextensible fibres (`specimen`) is
-interpolated, which is smooth where the force is not. A picture frame is in uniform shear and needs
-no elements.
+Between these, the ratio of its force to the power balance (`specimen`) is interpolated, which is
+smooth where the force is not. A picture frame is in uniform shear and needs no elements.
 
 The derivatives come from the converged states. With the tangent K, the response v = dx/du of the
 sheet to the grip, the volumes V and the gradient dI6 of the invariant of each triangle,
 
     df/dθ = Σ V (∂S12/∂θ) dI6·v,      K dx/dθ = -Σ V (∂S12/∂θ) dI6,
 
-so one factorisation of each state serves all parameters. A step of the least squares to a law
-under which a test finds no equilibrium is shortened.
+so one factorisation of each state serves all parameters. The least squares shorten a step to a law
+under which a test finds no equilibrium.
 """
 
 from __future__ import annotations

@@ -117,14 +117,8 @@ def _draw_forces(axes: Axes, identification: Any) -> None:
         kind = f"off-axis {test.specimen.angle:g}°" if strip else "frame"
         label = fill(f"{kind}, {_short(campaign.standing)}", 44)
         _draw_points(axes, forces, forces.force, marker, label)
-        angle = np.degrees(forces.angles[0])
-        fine = np.linspace(angle.min(), angle.max(), 200)
-        shares, angles = (
-            np.array([np.interp(fine, angle, row) for row in rows])
-            for rows in (forces.shares, forces.angles)
-        )
-        predicted = (shares * fabric.shear.stress(np.sin(angles))).sum(0)
-        axes.plot(fine, predicted, color=SECOND, label=f"{kind}, power balance")
+        angle, predicted = np.degrees(forces.angles[0]), forces.predicted(fabric.shear)
+        axes.plot(angle, predicted, color=SECOND, label=f"{kind}, power balance")
     per_length = [test.curve.per_length for test in campaign.shear]
     unit = "N/mm" if all(per_length) else "N" if not any(per_length) else "N, frames N/mm"
     axes.set(xlabel="shear angle γ [°]", ylabel=f"force [{unit}]")

@@ -4,9 +4,9 @@ With inextensible fibres the power balance of a test reads
 
     force = Σ_k share_k S12(sin γ_k),    share_k = t0 A_k cos γ_k dγ_k/du
 
-over its zones k, which is linear in the unknown S12. At 45° the zones are the full one at γ and the
-half ones at γ/2. Solved for S12(γ), the balance is Eq. 10 of Schäfer et al. with the coefficient of
-S12(γ/2) that conserves energy (`theory.OffAxisTension`); the printed one is half of it.
+over its zones k, linear in the unknown S12. At 45° a full zone has γ and half ones γ/2: solved for
+S12(γ), this is Eq. 10 of Schäfer et al. with the coefficient of S12(γ/2) that conserves energy
+(`theory.OffAxisTension`); the printed one is half of it.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from ..theory import OffAxisTension
 from .records import Curve
 
 FloatArray = np.ndarray
+Shares = tuple[FloatArray, FloatArray]
 
 
 @dataclass(frozen=True)
@@ -67,9 +68,7 @@ class OffAxis:
             )
         return u
 
-    def shares(
-        self, curve: Curve, thickness: float, as_printed: bool = False
-    ) -> tuple[FloatArray, FloatArray]:
+    def shares(self, curve: Curve, thickness: float, as_printed: bool = False) -> Shares:
         """Shares of the zones in the force, (3, n) in mm², and their angles, (3, n) in radians.
 
         A measured angle replaces the kinematic one in the full zone; the others change in
@@ -118,9 +117,7 @@ class PictureFrame:
             )
         return np.pi / 2 - 2.0 * np.arccos(half)
 
-    def shares(
-        self, curve: Curve, thickness: float, as_printed: bool = False
-    ) -> tuple[FloatArray, FloatArray]:
+    def shares(self, curve: Curve, thickness: float, as_printed: bool = False) -> Shares:
         """Share of the only zone in the force, (1, n) in mm², and its angle, (1, n) in radians.
 
         A force per length of fabric is F_sh = t0 S12 itself.
