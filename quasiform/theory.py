@@ -11,14 +11,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy as sp  # its parts load when they are used
 from numpy.typing import ArrayLike, NDArray
-
-if TYPE_CHECKING:
-    from scipy.integrate import OdeSolution
-    from scipy.optimize import OptimizeResult
 
 Law = Callable[[NDArray], NDArray]
 
@@ -278,14 +274,12 @@ def tip_loaded_elastica(k: float) -> tuple[float, float]:
     return 1 - x, w
 
 
-def _cantilever(k: float, load_beyond: Callable[[NDArray], NDArray]) -> OptimizeResult:
+def _cantilever(k: float, load_beyond: Callable[[NDArray], NDArray]) -> sp.optimize.OptimizeResult:
     """Solve theta'' = -k load_beyond(s) cos(theta), theta(0) = theta'(1) = 0, for 0 <= s <= 1.
 
     `load_beyond(s)` is the part of the load that acts between s and the free end. The rows of the
     solution are theta, theta', x and drop.
     """
-    from scipy.integrate import solve_bvp
-
     if not 0 <= k < np.inf:
         raise ValueError(f"the load parameter k must be finite and not negative, got {k}")
 
@@ -302,7 +296,8 @@ def _cantilever(k: float, load_beyond: Callable[[NDArray], NDArray]) -> Optimize
     theta = np.pi / 2 - 4 * np.arctan(decay)
     curvature = 4 * np.sqrt(k) * decay / (1 + decay**2)
     guess = np.array([theta, curvature, s * np.cos(theta), s * np.sin(theta)])
-    solution = solve_bvp(rates, clamp_and_free_end, s, guess, tol=1e-9, max_nodes=20_000)
+    settings = {"tol": 1e-9, "max_nodes": 20_000}
+    solution = sp.integrate.solve_bvp(rates, clamp_and_free_end, s, guess, **settings)
     if not solution.success:
         raise RuntimeError(
             f"elastica with k = {k:g} not solved after {solution.niter} iterations: residual "
@@ -384,7 +379,7 @@ def _pole_series(p: ArrayLike) -> tuple[ArrayLike, ArrayLike]:
 
 
 @cache
-def _hemisphere_solution() -> OdeSolution:
+def _hemisphere_solution() -> sp.integrate.OdeSolution:
     """Solution of g' = h/p, h' = cos(g) from the series at the pole to the collapse g = pi/2."""
 
     def collapse(_: float, state: NDArray) -> float:
@@ -395,11 +390,9 @@ def _hemisphere_solution() -> OdeSolution:
     return _integrate(lambda p, y: [y[1] / p, np.cos(y[0])], span, start, 1e-12, 1e-14, collapse)
 
 
-def _integrate(rates, span, start, rtol, atol, events=None) -> OdeSolution:
-    from scipy.integrate import solve_ivp
-
+def _integrate(rates, span, start, rtol, atol, events=None) -> sp.integrate.OdeSolution:
     settings = {"dense_output": True, "events": events, "rtol": rtol, "atol": atol}
-    return solve_ivp(rates, span, start, "DOP853", **settings).sol
+    return sp.integrate.solve_ivp(rates, span, start, "DOP853", **settings).sol
 
 
 def strip_friction(mu: float, mass: float) -> float:

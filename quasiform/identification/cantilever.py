@@ -21,16 +21,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import scipy as sp  # its parts load when they are used
 
 from ..checks import InputError, check_number
 from ..energy.weight import GRAVITY
 from ..theory import heavy_elastica_shape
-
-if TYPE_CHECKING:
-    from scipy.interpolate import CubicSpline
 
 FloatArray = np.ndarray
 Numbers = FloatArray | float
@@ -132,18 +130,16 @@ def _peirce(angle: FloatArray) -> FloatArray:
 @lru_cache(maxsize=256)
 def _load_of_chord(angle: float) -> float:
     """The k at which the chord to the tip has an angle, degrees."""
-    from scipy.optimize import brentq
-
     if angle > 89.5:
         raise InputError(
             f"at an angle of {angle:g} degrees the strip hangs straight down: shorten the overhang"
         )
     # 8 tan θ where the strip is nearly straight, 2 tan² θ where it nearly hangs
-    tangent = np.tan(np.radians(angle))
-    low, high = np.log(4 * tangent), np.log(16 * tangent + 4 * tangent**2)
-
-    log_k = brentq(lambda p: _chord(float(np.exp(p))) - np.radians(angle), low, high, xtol=1e-12)
-    return float(np.exp(log_k))
+    theta, tangent = np.radians(angle), np.tan(np.radians(angle))
+    range_ = np.log([4 * tangent, 16 * tangent + 4 * tangent**2])
+    return float(
+        np.exp(sp.optimize.brentq(lambda p: _chord(np.exp(p)) - theta, *range_, xtol=1e-12))
+    )
 
 
 def _chord(k: float) -> float:
@@ -153,21 +149,17 @@ def _chord(k: float) -> float:
 
 
 @lru_cache(maxsize=256)
-def _curve(k: float) -> CubicSpline:
+def _curve(k: float) -> sp.interpolate.CubicSpline:
     """The elastica (x, drop) over L as a function of the station s."""
-    from scipy.interpolate import CubicSpline
-
-    return CubicSpline(STATIONS, np.stack(heavy_elastica_shape(k, STATIONS), axis=1))
+    return sp.interpolate.CubicSpline(STATIONS, np.transpose(heavy_elastica_shape(k, STATIONS)))
 
 
 def _fit(distances: Callable[[float], FloatArray]) -> tuple[float, FloatArray, FloatArray]:
     """Least squares in log k: k, the distances over L there and their slopes by log k."""
-    from scipy.optimize import least_squares
-
     start = min(np.geomspace(*K_RANGE, 15).tolist(), key=lambda k: np.sum(distances(k) ** 2))
     bounds = tuple(np.log([0.5 * K_RANGE[0], 2 * K_RANGE[1]]))
     settings = {"diff_step": 1e-4, "xtol": 1e-12, "ftol": 1e-14, "gtol": 1e-14}
-    fit = least_squares(
+    fit = sp.optimize.least_squares(
         lambda p: distances(float(np.exp(p[0]))), [np.log(start)], "3-point", bounds, **settings
     )
     k = float(np.exp(fit.x[0]))

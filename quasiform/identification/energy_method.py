@@ -18,15 +18,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import scipy as sp  # its parts load when they are used
 
 from ..checks import InputError
 from ..fabric import TabulatedLaw
-
-if TYPE_CHECKING:
-    from scipy.interpolate import BSpline
 
 FloatArray = np.ndarray
 SAFETY = 1.4  # factor on the degrees of freedom in the cross-validation
@@ -56,7 +54,7 @@ class Forces:
 class StressCurve:
     """S12 as a spline of I6, with its uncertainty."""
 
-    spline: BSpline  # S12(I6), MPa, increasing from zero
+    spline: sp.interpolate.BSpline  # S12(I6), MPa, increasing from zero
     covariance: FloatArray  # (k, k) of the coefficients of the spline, MPa²
     low: float  # smallest and largest tested shear angle, degrees
     high: float
@@ -110,14 +108,12 @@ class _Problem:
     """Penalised least squares for the steps d >= 0 of the coefficients c = cumulate d."""
 
     def __init__(self, tests: Sequence[Forces], breaks: FloatArray) -> None:
-        from scipy.interpolate import BSpline
-
         self.t = np.pad(breaks, 3, mode="edge")
         n = len(self.t) - 4
         self.cumulate = np.tril(np.ones((n, n)))[:, 1:]  # the first coefficient is 0
 
         def design(x: FloatArray) -> FloatArray:
-            return BSpline.design_matrix(x, self.t, 3).toarray() @ self.cumulate
+            return sp.interpolate.BSpline.design_matrix(x, self.t, 3).toarray() @ self.cumulate
 
         A = [
             sum(
@@ -133,12 +129,10 @@ class _Problem:
         self.noise = 1.0 / unit**2  # variance by the measured deviations
         self.widths, middle = np.diff(breaks), 0.5 * (breaks[1:] + breaks[:-1])
         self.middle = design(middle)
-        self.third = BSpline(self.t, np.eye(n), 3).derivative(3)(middle) @ self.cumulate
+        self.third = sp.interpolate.BSpline(self.t, self.cumulate, 3).derivative(3)(middle)
 
-    def smoothest(self) -> tuple[BSpline, FloatArray]:
+    def smoothest(self) -> tuple[sp.interpolate.BSpline, FloatArray]:
         """Spline with the penalty that predicts best, and the covariance of its coefficients."""
-        from scipy.interpolate import BSpline
-
         n, best = len(self.y), (np.inf, None, None)
         d = self._solve(1e-3 * np.sqrt(self.widths))
         for penalty in PENALTIES:
@@ -162,10 +156,9 @@ class _Problem:
                 C = self.cumulate[:, free]
                 variance = max(squares / max(n - freedom, 1.0), self.noise)
                 best = score, self.cumulate @ d, C @ (inverse * variance) @ C.T
-        return BSpline(self.t, best[1], 3, extrapolate=False), best[2]
+        return sp.interpolate.BSpline(self.t, best[1], 3, extrapolate=False), best[2]
 
     def _solve(self, weight: FloatArray) -> FloatArray:
-        from scipy.optimize import nnls
-
         rows = np.vstack([self.A, weight[:, None] * self.third])
-        return nnls(rows, np.append(self.y, np.zeros(len(weight))), maxiter=50 * len(self.t))[0]
+        y = np.pad(self.y, (0, len(weight)))
+        return sp.optimize.nnls(rows, y, maxiter=50 * len(self.t))[0]

@@ -12,16 +12,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
+import scipy as sp  # its parts load when they are used
 
 from ..checks import InputError, check_keys, check_number
 from ..fabric import ThreeStageLaw
 from .energy_method import Forces, StressCurve, relative_misfit
-
-if TYPE_CHECKING:
-    from scipy.optimize import OptimizeResult
 
 FloatArray = np.ndarray
 NAMES = ("C_ini", "S_ini", "C_mid", "dS_mid", "C_lo", "I_lo")
@@ -105,7 +103,7 @@ class Unknowns:
         return [np.concatenate(part) for part in parts]
 
 
-Trial = tuple[Unknowns, "OptimizeResult"]
+Trial = tuple[Unknowns, Any]  # with the OptimizeResult of the fit
 
 
 def fit(
@@ -129,8 +127,8 @@ def fit(
     top, trials = float(np.sin(np.radians(curve.high))), []
     for law in _starts(curve, keep):
         tested = NAMES if law.I_lo < top else NAMES[:4]
-        unknowns = Unknowns(law, [name for name in tested if name not in keep])
-        trials.append((unknowns, search(tests, unknowns)))
+        free = [name for name in tested if name not in keep]
+        trials.append(search(tests, Unknowns(law, free)))
     unknowns, found = choose(trials)
     if algorithm == "nelder-mead":
         found = _nelder_mead(tests, unknowns)
@@ -146,12 +144,11 @@ def check_kept(keep: Mapping[str, float] | None) -> dict[str, float]:
     return keep
 
 
-def search(tests: Sequence[Forces], unknowns: Unknowns, tolerance: float = 1e-10) -> OptimizeResult:
+def search(tests: Sequence[Forces], unknowns: Unknowns, tolerance: float = 1e-10) -> Trial:
     """Bounded least squares of the residuals of all tests, or models of tests.
 
     InputError if a test cannot be solved under the law at the start.
     """
-    from scipy.optimize import least_squares
 
     @lru_cache(maxsize=1)
     def both(point: bytes) -> Sequence[FloatArray]:
@@ -159,7 +156,7 @@ def search(tests: Sequence[Forces], unknowns: Unknowns, tolerance: float = 1e-10
 
     if not np.isfinite(both(unknowns.start.tobytes())[0]).all():
         raise InputError("a test finds no equilibrium under the law of the power balance")
-    return least_squares(
+    return unknowns, sp.optimize.least_squares(
         lambda p: both(p.tobytes())[0],
         unknowns.start,
         lambda p: both(p.tobytes())[1],
@@ -216,11 +213,9 @@ def _starts(curve: StressCurve, keep: Mapping[str, float]) -> list[ThreeStageLaw
 
 
 def report(
-    tests: Sequence[Forces], unknowns: Unknowns, found: OptimizeResult, keep: Mapping[str, float]
+    tests: Sequence[Forces], unknowns: Unknowns, found: Any, keep: Mapping[str, float]
 ) -> Fit:
     """Intervals from the curvature at the minimum, wider where the residuals are correlated."""
-    from scipy.special import stdtrit
-
     p, J, r = found.x, found.jac, found.fun
     law, freedom = unknowns.law(p), max(len(r) - len(p), 1)
     lag = float(np.clip((r[1:] @ r[:-1]) / max(r @ r, 1e-300), 0.0, 0.95))
@@ -231,7 +226,8 @@ def report(
     _, s, Vt = np.linalg.svd(J / size, full_matrices=False)
     spread = Vt.T / np.where(s > 1e-9 * s[0], s, 1e-30) / size[:, None]
     native = unknowns.slopes(p, lambda law: np.array([getattr(law, name) for name in NAMES]))
-    reach = stdtrit(freedom, 0.975) * np.sqrt(variance) * np.linalg.norm(native @ spread, axis=1)
+    deviation = np.sqrt(variance) * np.linalg.norm(native @ spread, axis=1)
+    reach = sp.special.stdtrit(freedom, 0.975) * deviation
     parameters = []
     for name, half in zip(NAMES, reach.tolist(), strict=True):
         value = float(getattr(law, name))
@@ -250,9 +246,8 @@ def _parameter(name: str, value: float, half: float, state: str) -> Parameter:
     return Parameter(name, value, max(value - half, 0.0), value + half, unit, state)
 
 
-def _nelder_mead(tests: Sequence[Forces], unknowns: Unknowns) -> OptimizeResult:
+def _nelder_mead(tests: Sequence[Forces], unknowns: Unknowns) -> Any:
     """Simplex search as in the paper, repeated from its result until that stays."""
-    from scipy.optimize import minimize
 
     def cost(p: FloatArray) -> float:
         if (p < unknowns.bounds[0]).any() or (p > unknowns.bounds[1]).any():
@@ -264,7 +259,7 @@ def _nelder_mead(tests: Sequence[Forces], unknowns: Unknowns) -> OptimizeResult:
     p, best = unknowns.start, np.inf
     settings = {"maxiter": 4000, "maxfev": 4000, "xatol": 1e-10, "fatol": 1e-12, "adaptive": True}
     for _ in range(20):
-        found = minimize(cost, p, method="Nelder-Mead", options=settings)
+        found = sp.optimize.minimize(cost, p, method="Nelder-Mead", options=settings)
         p = found.x
         if found.fun > (1 - 1e-6) * best:
             break

@@ -120,6 +120,10 @@ def identify(source: str | Path | Campaign, **given: Any) -> Identification:
         algorithm, size; of a CSV file also kind, length, width, angle, side, thickness, columns,
         units.
 
+    Returns
+    -------
+    Identification
+
     Raises
     ------
     InputError

@@ -19,6 +19,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+import scipy as sp  # its parts load when they are used
 
 from ..fabric import Fabric, ThreeStageLaw
 from ..scenes.fabric_tests import off_axis_tension
@@ -60,12 +61,11 @@ def identify_by_elements(
         if law.I_lo >= top:  # the power balance found none: start with one late in the range
             begun = {"I_lo": 0.8 * top, "C_lo": max(law.C_mid, 0.1 * law.C_ini)}
             law = replace(law, **(begun | {name: keep[name] for name in kept}))
-        unknowns = Unknowns(law, free)
-        trials.append((unknowns, search(models, unknowns, TOLERANCE)))
+        trials.append(search(models, Unknowns(law, free), TOLERANCE))
     if not trials or not kept:
         law = start.law if kept else replace(start.law, I_lo=top, C_lo=0.0)
-        unknowns = Unknowns(law, [name for name in free if name not in LOCKING])
-        trials.append((unknowns, search(models, unknowns, TOLERANCE)))
+        early = [name for name in free if name not in LOCKING]
+        trials.append(search(models, Unknowns(law, early), TOLERANCE))
     return report(models, *choose(trials), keep)
 
 
@@ -84,8 +84,6 @@ class Sheet:
         size: float,
         law: ThreeStageLaw,
     ) -> None:
-        from scipy.interpolate import CubicSpline
-
         def balance(u: FloatArray) -> Forces:
             """The power balance with the kinematic angle, even where another was measured."""
             shares, angles = specimen.shares(Curve(u, u, None, u), fabric.thickness)
@@ -104,7 +102,8 @@ class Sheet:
         stations = np.linspace(along[0], along[-1], POINTS)
         self.points = np.interp(stations, along, u)
         self.at_points = balance(self.points)
-        self.to_rows = CubicSpline(stations, np.eye(POINTS))(along)  # values at points to rows
+        # interpolates from the points to the rows
+        self.to_rows = sp.interpolate.CubicSpline(stations, np.eye(POINTS))(along)
         self.with_angle = curve.shear_angle is not None and curve.displacement is not None
         self.rows = len(u) * (2 if self.with_angle else 1)
 
