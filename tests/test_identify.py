@@ -1115,7 +1115,7 @@ def test_options_of_the_test(capsys, here):
         ("odd.csv", ["odd.csv: no column of a displ", '--columns displacement="Way, left (mm)"']),
         ("data.csv --angle 20", ["fibres join both grips"]),
         ("data.csv --length 250", ["data.csv: ", "at 37.28 mm"]),
-        ("", ["required: FILE"]),
+        ("", ["FILE requires an argument"]),
     ],
 )
 def test_wrong_words_are_refused(capsys, here, line, words):

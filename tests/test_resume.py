@@ -15,6 +15,7 @@ import pytest
 
 import quasiform as qf
 from quasiform.console.cli import main
+from quasiform.scenes import scene_file
 from quasiform.solve import Journal, increments
 
 
@@ -161,9 +162,9 @@ def test_sigkill_leaves_readable_files_and_resume_carries_on(tmp_path, delay):
 
 def test_a_run_from_a_file_is_carried_on_from_any_directory(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    shutil.copy(qf.scene_file.FOLDER / "hemisphere.toml", "part.toml")
+    shutil.copy(scene_file.FOLDER / "hemisphere.toml", "part.toml")
     monkeypatch.setattr(
-        "quasiform.console.cli.LiveProgress.__call__", lambda *_: killed_after(1)(None)
+        "quasiform.console.progress.LiveProgress.__call__", lambda *_: killed_after(1)(None)
     )
     with pytest.raises(KilledError):
         main(["form", "part.toml", "--size", "12", "--travel", "10", "--out", "out"])
@@ -223,7 +224,7 @@ def test_a_folder_that_goes_away_stops_the_run_with_the_reason(tmp_path, capsys,
         if len(calls) == 2:
             shutil.rmtree("out")
 
-    monkeypatch.setattr("quasiform.console.cli.LiveProgress.__call__", remove)
+    monkeypatch.setattr("quasiform.console.progress.LiveProgress.__call__", remove)
     assert main(["oat", "--size", "40", "--displacement", "20", "--out", "out"]) == 3
     assert "cannot write to out: No such file or directory" in capsys.readouterr().out
     assert not (tmp_path / "out").exists()
