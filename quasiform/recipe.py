@@ -107,8 +107,10 @@ class Recipe:
 
     def files(self) -> dict[str, str]:
         """SHA-256 of every file that it names, by path."""
-        paths = [value for _, value in self.given if isinstance(value, Path)]
-        return {str(path): sha256(path.read_bytes()).hexdigest() for path in paths}
+        paths = []
+        for _, value in self.given:
+            paths += [value] if isinstance(value, Path) else getattr(value, "files", list)()
+        return {str(path): sha256(Path(path).read_bytes()).hexdigest() for path in paths}
 
     @property
     def digest(self) -> str:

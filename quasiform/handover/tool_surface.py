@@ -16,10 +16,8 @@ import numpy as np
 from ..checks import InputError
 from ..net.blank import rotation
 from ..scenes import scene_file
-from ..scenes.scene_file import SurfaceFile
-from ..tools import grid as surface
 from ..tools.shapes import Shape, Tool
-from ..tools.surface_file import normals_of, optional
+from ..tools.surface_file import SurfaceFile, normals_of, optional
 
 FloatArray = np.ndarray
 MOST_NODES = 2_000_000
@@ -130,9 +128,7 @@ def from_scene_file(tool: Tool, parameters: dict[str, Any], turn: float) -> Any:
         for part in scene_file.load(str(parameters.get("scene"))).tools:
             given = part.shape
             if part.name == tool.name and isinstance(given, SurfaceFile):
-                vertices, triangles, _ = surface.placed_and_told(
-                    given.path, given.scale, given.flip, given.rotate, given.origin
-                )
+                vertices, triangles, _ = given.placed()
                 vertices[:, :2] = vertices[:, :2] @ rotation(turn)
                 return vertices, triangles
     return None

@@ -1,4 +1,4 @@
-"""Points of the outline where the draw-in is measured."""
+"""Places of the flat sheet where a run is measured: points of its edge, discs."""
 
 from __future__ import annotations
 
@@ -62,3 +62,8 @@ def edge_points(blank: Blank, turn: float = 0.0) -> dict[str, EdgePoint]:
                 rim[at], shares, -R @ outward, shares @ blank.nodes[rim[at]]
             )
     return points
+
+
+def disc(blank: Blank, centre: tuple[float, float], radius: float) -> np.ndarray:
+    """(n_triangles,) bool array: triangles with their centroid in a disc of the flat blank."""
+    return np.linalg.norm(blank.centroids - centre, axis=1) <= radius

@@ -7,16 +7,18 @@ quadrilaterals of the mesh, and for triangles the pairing with the best quadrila
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import shapely
-from scipy.optimize import Bounds, LinearConstraint, milp
 from scipy.sparse import csc_array
 
-from ..checks import InputError, check_file, check_number
-from ..tools.surface_file import check_numbers, naming, optional, read_mesh
-from .blank import MOST_TRIANGLES, Blank, rotation
-from .outline import check_unit
+from ..checks import InputError, check_file, check_number, naming, optional
+from ..tools.mending import check_numbers
+from ..tools.surface_file import read_mesh
+from .blank import MOST_TRIANGLES, Blank, check_unit, rotation
+
+if TYPE_CHECKING:
+    import shapely
 
 FloatArray = np.ndarray
 IntArray = np.ndarray
@@ -46,6 +48,8 @@ def triangulate(outline: shapely.Polygon, size: float, orientation: float = 0.0)
     InputError
         For a bad size, or without gmsh.
     """
+    import shapely
+
     check_number("size", size)
     if not 2 * outline.area < MOST_TRIANGLES * size**2:
         raise InputError(f"size {size:g} mm makes more than {MOST_TRIANGLES:.0e} triangles")
@@ -76,6 +80,17 @@ def triangulate(outline: shapely.Polygon, size: float, orientation: float = 0.0)
     used, triangles = np.unique(number[corners.astype(int)], return_inverse=True)
     nodes = places.reshape(-1, 3)[used, :2]
     return _blank(nodes, triangles.reshape(-1, 3), np.zeros((0, 4), dtype=int), orientation)
+
+
+def check_same_size(size: float, built: float | None) -> None:
+    """Refuse to build a model on the user's own mesh at another size than it was built before.
+
+    Raises
+    ------
+    InputError
+    """
+    if built is not None and size != built:
+        raise InputError(f"a mesh of its own has one size only: not {size:g} mm")
 
 
 def own_mesh(path: str | Path, orientation: float = 0.0, scale: float = 1.0) -> Blank:
@@ -120,6 +135,8 @@ def own_mesh(path: str | Path, orientation: float = 0.0, scale: float = 1.0) -> 
 
 def outline_of(blank: Blank) -> shapely.Polygon:
     """Return the outline of a blank with its holes."""
+    import shapely
+
     outer, *holes = (blank.nodes[loop] for loop in blank.outline)
     return shapely.Polygon(outer, holes)
 
@@ -159,6 +176,8 @@ def _pairs(blank: Blank, count: int) -> IntArray:
 
     A matching of most weight in the graph of neighbours; what stays alone is paired with itself.
     """
+    from scipy.optimize import Bounds, LinearConstraint, milp
+
     mesh, nodes = blank.mesh, blank.nodes
     inner = np.flatnonzero((mesh.f2t[1] >= 0) & (mesh.f2t < count).all(0))
     if not len(inner):

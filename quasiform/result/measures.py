@@ -8,17 +8,15 @@ import numpy as np
 
 from ..energy.membrane import Membrane
 from ..net.blank import Blank
+from ..net.edges import EdgePoint, disc, edge_points
+
+__all__ = ["EdgePoint", "disc", "edge_points"]
 
 FloatArray = np.ndarray
 SLIP_GRADIENT = 2.4
 """Shear gradient at which rovings may slip, degrees/mm: in the 45° off-axis tension test the paper
 saw slippage from u = 30 mm on, where the shear jumps by 12° between zones; over a width of 5 mm
 (*inferred* from stated facts, the width *assumed*)."""
-
-
-def disc(blank: Blank, centre: tuple[float, float], radius: float) -> np.ndarray:
-    """(n_triangles,) bool array: triangles with their centroid in a disc of the flat blank."""
-    return np.linalg.norm(blank.centroids - centre, axis=1) <= radius
 
 
 def percentile(values: FloatArray, areas: FloatArray, share: float) -> float:

@@ -174,7 +174,11 @@ class Result:
             f"only the end is solved at {self.model.size:g} mm; the forces along the travel come "
             "from there (--size keeps one mesh)"
         )
-        return [*self.model.description, *self.notes, (f"path on a mesh of {self.path.model.size:g} mm", why)]
+        return [
+            *self.model.description,
+            *self.notes,
+            (f"path on a mesh of {self.path.model.size:g} mm", why),
+        ]
 
     @property
     def followed(self) -> list[tuple[Result, int]]:
@@ -340,7 +344,9 @@ class Result:
         for contact in self.model.contacts:
             arm = self.model.sheet.positions(x)[facets].mean(1) - contact.origin(x)
             middle = contact.in_tool_frame(x, arm)
-            depths.append(0.5 * self.model.sheet.fabric.thickness - contact.distance(middle)[0].min())
+            depths.append(
+                0.5 * self.model.sheet.fabric.thickness - contact.distance(middle)[0].min()
+            )
         return float(max([0.0, *depths]))
 
     @property
