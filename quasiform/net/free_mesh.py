@@ -82,6 +82,17 @@ def triangulate(outline: shapely.Polygon, size: float, orientation: float = 0.0)
     return _blank(nodes, triangles.reshape(-1, 3), np.zeros((0, 4), dtype=int), orientation)
 
 
+def check_same_size(size: float, built: float | None) -> None:
+    """Refuse to build a model on the user's own mesh at another size than it was built before.
+
+    Raises
+    ------
+    InputError
+    """
+    if built is not None and size != built:
+        raise InputError(f"a mesh of its own has one size only: not {size:g} mm")
+
+
 def own_mesh(path: str | Path, orientation: float = 0.0, scale: float = 1.0) -> Blank:
     """Read the user's own flat mesh of triangles and quadrilaterals (whatever meshio reads).
 

@@ -123,6 +123,7 @@ def formed_between_tools(
     description: Description = [("bending of warp and weft lines", "the sheet leaves its plane")]
     own = None
     if isinstance(file.mesh, Path):
+        free_mesh.check_same_size(size, like and like.size)
         own = free_mesh.own_mesh(file.mesh, orientation, file.mesh_scale)
     outline = free_mesh.outline_of(own) if own else file.outline
     if not own:
