@@ -16,9 +16,9 @@ from quasiform.comparison.mapping import carried
 from quasiform.comparison.place import unfolded
 from quasiform.comparison.read import Reading, read_run
 from quasiform.comparison.sheet import Sheet
-from quasiform.comparison.table import read_table
 from quasiform.console.cli import main
 from quasiform.net.blank import rotation
+from quasiform.tables import read_table
 
 HALF = 100.0  # mm
 

@@ -240,7 +240,7 @@ def test_tools_are_turned_into_the_axes_of_the_model(orientation):
     azimuth = 0.0 if orientation == 90.0 else 135.0  # an edge of the punch stays on a mirror plane
     place = rotation(azimuth) @ [20.0, 0.0]
     tip = tetrahedron_punch(150.0, 160.0, 20.0, azimuth)
-    file = changed(tools={"punch": {"shape": tip, "place": tuple(place)}})
+    file = changed(tools={"punch": {"geometry": tip, "place": tuple(place)}})
     scene = qf.forming(file, orientation, size=30, travel=20.0)
     assert scene.turn == orientation
     assert len(scene.blank.mirror) == 1
@@ -490,9 +490,9 @@ def test_gravity_acts_on_the_modelled_part():
 
 HELD = {
     # a flat sheet between two smooth plates, with the punch beside it
-    "punch": {"shape": ball(5.0), "place": (0.0, 300.0)},
-    "die": {"shape": Plane(), "friction": 0.0},
-    "blank holder": {"shape": flipped(Plane()), "friction": 0.0, "force": 200.0, "mass": 0.0},
+    "punch": {"geometry": ball(5.0), "place": (0.0, 300.0)},
+    "die": {"geometry": Plane(), "friction": 0.0},
+    "blank holder": {"geometry": flipped(Plane()), "friction": 0.0, "force": 200.0, "mass": 0.0},
 }
 
 
@@ -500,7 +500,7 @@ HELD = {
 def pulled(tension, stiffness, orientation=0.0):
     file = changed(
         tools=HELD,
-        outline=outline.rectangle(160.0, 80.0),
+        blank=Region("rectangle", (160.0, 80.0)),
         supports=[Support(Where(side="-x"), "xy")],
         grippers=[Gripper(Where(side="+x"), (1.0, 0.0), tension, stiffness)],
     )
@@ -550,15 +550,10 @@ def test_a_gripper_with_a_stiffness_yields():
 
 def test_a_pull_needs_no_holder():
     """The sheet is held in the plane z = 0 by supports and nothing rests on it."""
+    punch, die, _ = scene_file.load("hemisphere").tools
     tools = [
-        replace(
-            scene_file.load("hemisphere").tools[0],
-            geometry=Form("ball", (5.0,)),
-            place=(0.0, 300.0),
-        ),
-        replace(
-            scene_file.load("hemisphere").tools[1], geometry=Form("plane"), friction=0.0, z=-50.0
-        ),
+        replace(punch, geometry=Form("ball", (5.0,)), place=(0.0, 300.0)),
+        replace(die, geometry=Form("plane"), friction=0.0, z=-50.0),
     ]
     file = replace(
         changed(blank=Region("rectangle", (160.0, 80.0))),
@@ -800,9 +795,9 @@ def test_a_punch_must_leave_room_for_the_sheet_in_the_opening(side, fits):
     """110 mm - 2 x 1.004 mm is left for the punch."""
     die = opening(SQUARE, 10.0, 10.0)
     tools = {
-        "punch": {"shape": box_punch(100.0, side, 10.0)},
-        "die": {"shape": die},
-        "blank holder": {"shape": flipped(die)},
+        "punch": {"geometry": box_punch(100.0, side, 10.0)},
+        "die": {"geometry": die},
+        "blank holder": {"geometry": flipped(die)},
     }
     file = changed("box", tools)
     if fits:
@@ -814,14 +809,14 @@ def test_a_punch_must_leave_room_for_the_sheet_in_the_opening(side, fits):
 
 
 def test_a_punch_that_does_not_reach_what_is_too_narrow_is_accepted():
-    narrow = changed(tools={"die": {"shape": round_opening(60.0, 10.0)}})
+    narrow = changed(tools={"die": {"geometry": round_opening(60.0, 10.0)}})
     assert qf.forming(narrow, size=30, travel=15.0).travel == 15.0
     with pytest.raises(qf.InputError, match=r"punch and die leave 0\.00 mm"):
         qf.forming(narrow, size=30)
 
 
 def test_a_holder_must_leave_the_punch_through():
-    holder = changed("box", {"blank holder": {"shape": flipped(Plane())}})
+    holder = changed("box", {"blank holder": {"geometry": flipped(Plane())}})
     with pytest.raises(qf.InputError, match="punch and blank holder leave"):
         qf.forming(holder, size=30)
 

@@ -12,7 +12,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 from quasiform.checks import InputError
 from quasiform.scenes.scene_file import (
     FOLDER,
-    SHAPES,
     Gripper,
     SceneFile,
     Support,
@@ -21,6 +20,7 @@ from quasiform.scenes.scene_file import (
     built_in,
     load,
 )
+from quasiform.scenes.scene_parts import SHAPES
 from quasiform.schema import STANDINGS
 from quasiform.tools.shapes import (
     Placed,

@@ -19,7 +19,7 @@ import meshio
 import numpy as np
 
 from ..checks import InputError
-from .table import read_table
+from ..tables import read_table
 
 FloatArray = np.ndarray
 READERS = {".vtu": meshio.vtu, ".vtk": meshio.vtk, ".xdmf": meshio.xdmf, ".xmf": meshio.xdmf}

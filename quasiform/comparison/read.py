@@ -24,9 +24,9 @@ import shapely
 from ..checks import InputError, check_number, suggestion
 from ..result.run import Result
 from ..scenes import scene_file
+from ..tables import name_of, read_table
 from .mesh_file import READERS, Fields, read_fields
 from .sheet import Run, Sheet, at_nodes, sheared
-from .table import name_of, read_table
 
 FloatArray = np.ndarray
 TABLES = (".csv", ".txt", ".dat")

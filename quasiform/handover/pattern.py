@@ -16,11 +16,11 @@ import shapely
 
 from ..checks import InputError, check_number
 from ..comparison.mapping import closest, on_surface
-from ..comparison.table import read_table
 from ..net.blank import Blank
 from ..result.files import replaced
 from ..result.run import Result
 from ..scenes import scene_file
+from ..tables import read_table
 from ..tools.shapes import Opening
 from ..tools.surface_file import normals_of, optional
 from .part import Part, part_of

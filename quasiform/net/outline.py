@@ -19,6 +19,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from ..checks import InputError, check_file, check_number
+from ..tables import read_numbers
 from ..tools.surface_file import CAD, MESHES, read_surface
 
 FloatArray = np.ndarray
@@ -122,14 +123,17 @@ def read_outline(path: str | Path, scale: float = 1.0) -> shapely.Polygon:
     kind = path.suffix.lower()
     try:
         check_number("scale", scale)
-        if kind in (".dxf", *TABLES):
+        if kind == ".dxf":
             check_file(path)
         if kind == ".dxf":
             outline = _from_lines(_drawn(path, scale), GAP)
         elif kind in MESHES or kind in CAD:
             outline = _from_lines(_rim(*read_surface(path, scale)), 0.0)
         elif kind in TABLES:
-            outline = _loop(scale * _table(path.read_text(encoding="utf-8-sig")))
+            points = read_numbers(path, most=2)[2]
+            if not np.isfinite(points).all():
+                raise InputError("not all coordinates are finite numbers")
+            outline = _loop(scale * points)
         else:
             known = ", ".join([".dxf", *MESHES, *CAD, *TABLES])
             raise InputError(f"unknown kind of outline '{kind}': expected one of {known}")
@@ -137,34 +141,10 @@ def read_outline(path: str | Path, scale: float = 1.0) -> shapely.Polygon:
         check_unit(max(high_x - low_x, high_y - low_y), scale)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: {error}") from error
     except InputError as error:
         named = str(error).startswith(str(path))
         raise InputError(str(error) if named else f"{path}: {error}") from error
     return outline
-
-
-def _table(text: str) -> FloatArray:
-    """(n, 2) points of a table of two or more columns; the first line may be a heading."""
-    points: list[list[float]] = []
-    first = True
-    for number, line in enumerate(text.splitlines(), 1):
-        line = line.split("#")[0].strip()
-        if not line:
-            continue
-        if ";" in line:  # where the comma is the decimal sign
-            line = line.replace(",", ".")
-        try:
-            x, y = (float(word) for word in re.split(r"[\s,;]+", line)[:2])
-            points.append([x, y])
-        except ValueError:
-            if not first:
-                raise InputError(f"line {number}: expected x, y, got {line!r}") from None
-        first = False
-    if not np.isfinite(points).all():
-        raise InputError("not all coordinates are finite numbers")
-    return np.reshape(points, (-1, 2))
 
 
 def _drawn(path: Path, scale: float) -> list[FloatArray]:
