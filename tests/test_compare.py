@@ -608,7 +608,7 @@ def test_bad_files(result, tmp_path):
     assert "flat or formed" in refusal(result, path)
     assert "need x, y and z" in refusal(result, path, coordinates="formed")
     (tmp_path / "words.csv").write_text("x,y\n1,2\n3,four\n")
-    assert "line 3: not a number: 'four'" in refusal(result, tmp_path / "words.csv")
+    assert "line 3: column 2 is not a number: 'four'" in refusal(result, tmp_path / "words.csv")
     (tmp_path / "bare.csv").write_text("1,2,3\n4,5,6\n")
     assert "no line of headings" in refusal(result, tmp_path / "bare.csv")
     assert "align must be one of" in refusal(result, result, align="yes")

@@ -19,28 +19,7 @@ from .campaign_parts import ASSUMED, KINDS, LOWEST, SIZES, VALUES, Campaign, She
 from .cantilever import Stiffness, from_profile, from_repeats, from_tip
 from .records import mean_of, read
 
-ANYTHING = 1e100  # specimens and laws check their numbers themselves
-NUMBERS = {
-    "thickness": ("mm", "Thickness"),
-    "areal_weight": ("g/m²", "Areal weight"),
-    "bending_warp": ("N mm", "Bending stiffness along the warp"),
-    "bending_weft": ("N mm", "Bending stiffness along the weft"),
-    "friction": ("1", "Coulomb coefficient with tools"),
-    "length": ("mm", "Length between the grips"),
-    "width": ("mm", "Width"),
-    "angle": ("deg", "Angle between load and warp"),
-    "side": ("mm", "Side of the frame between its hinges"),
-    "fabric_side": ("mm", "Side of the sheared fabric"),
-}
-MAY_BE_ZERO = ("areal_weight", "bending_warp", "bending_weft", "friction")
-
-
-def _keys(*names: str) -> dict[str, Any]:
-    keys = {}
-    for name in names:
-        unit, text = NUMBERS[name]
-        keys[name] = (number(text, unit, zero=name in MAY_BE_ZERO, most=ANYTHING), OPEN)
-    return keys
+OPEN_KEY = (Any, OPEN)  # specimens and fabrics check their numbers themselves
 
 
 def _files(value: Any) -> list[str]:
@@ -83,7 +62,9 @@ def kind(table: Any) -> str | None:
 
 
 _STRIP, _FRAME = (
-    create_model(name, __base__=_Shear, kind=(Literal[name], ...), **_keys(*SIZES[name]))
+    create_model(
+        name, __base__=_Shear, kind=(Literal[name], ...), **dict.fromkeys(SIZES[name], OPEN_KEY)
+    )
     for name in KINDS
 )
 TEST = Annotated[
@@ -92,8 +73,10 @@ TEST = Annotated[
     | Annotated[_Cantilever, Tag("cantilever")],
     Discriminator(kind),
 ]
-_NAMES = ("thickness", "areal_weight", "bending_warp", "bending_weft", "friction")
-_Fabric = create_model("Fabric", __base__=Table, base=(Any, "locking"), **_keys(*_NAMES))
+NAMES = ("thickness", "areal_weight", "bending_warp", "bending_weft", "friction")
+_Fabric = create_model(
+    "Fabric", __base__=Table, base=(Any, "locking"), **dict.fromkeys(NAMES, OPEN_KEY)
+)
 
 
 class _File(Table):

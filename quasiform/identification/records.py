@@ -25,10 +25,10 @@ from ..tables import (
     is_numeric,
     known_unit,
     name_unit,
+    numbers_in,
     plain,
     rows_in,
     text_of,
-    wrong_mark,
 )
 
 FloatArray = np.ndarray
@@ -112,7 +112,7 @@ def read(
         check_keys(units, NAMES, "units")
         rows = rows_in(text_of(Path(path)))
         places, declared, first = _places(rows, columns, notices)
-        values, lines = _numbers(rows[first:], places)
+        values, lines = _numbers(rows[first:], places, notices)
         for quantity in values:
             unit = units.get(quantity) or declared.get(quantity)
             values[quantity] *= _factor(quantity, unit, values[quantity], notices)
@@ -329,26 +329,17 @@ def _no_heading(rows: list[Row], columns: Mapping[str, str]) -> str:
 
 
 def _numbers(
-    rows: list[Row], places: Mapping[str, int]
+    rows: list[Row], places: Mapping[str, int], notices: list[str]
 ) -> tuple[dict[str, FloatArray], np.ndarray]:
     """Numbers of each quantity and their lines in the file."""
-    table, lines = [], []
-    for line, comment, cells, _ in rows:
-        if any(cells) and not comment:
-            table.append([cells[k] if k < len(cells) else "" for k in places.values()])
-            lines.append(line)
+    table = [row for row in rows if row.cells and not row.comment]
     if len(table) < FEWEST:
         raise InputError(f"only {rows_of(len(table))} of numbers, at least {FEWEST} are needed")
-    wrong = wrong_mark([cell for row in table for cell in row])
-    values = np.empty((len(table), len(places)))
-    for i, (line, row) in enumerate(zip(lines, table, strict=True)):
-        for j, (quantity, cell) in enumerate(zip(places, row, strict=True)):
-            if not is_number(cell) or wrong in cell:
-                raise InputError(f"line {line}: the {_label(quantity)} is not a number: {cell!r}")
-            values[i, j] = float(cell.replace(",", "."))
-            if not abs(values[i, j]) < 1e30:
-                raise InputError(f"line {line}: the {_label(quantity)} is not finite: {cell!r}")
-    return dict(zip(places, values.T.copy(), strict=True)), np.array(lines)
+    if left := len(rows) - len(table):
+        were = "was" if left == 1 else "were"
+        notices.append(f"{rows_of(left)} without numbers {were} left out.")
+    values = numbers_in(table, {f"the {_label(q)}": place for q, place in places.items()})
+    return dict(zip(places, values.T.copy(), strict=True)), np.array([row.line for row in table])
 
 
 def rows_of(n: int) -> str:
