@@ -173,6 +173,14 @@ def is_numeric(cells: list[str]) -> bool:
     return sum(map(is_number, cells)) > 1
 
 
+def first_of_numbers(rows: list[Row]) -> int:
+    """Place of the first row of numbers that is not a comment; InputError if there is none."""
+    for k, row in enumerate(rows):
+        if is_numeric(row.cells) and not row.comment:
+            return k
+    raise InputError("no rows of two or more numbers that are not comments")
+
+
 def numbers_in(rows: list[Row], columns: Mapping[str, int], gaps: bool = False) -> FloatArray:
     """(n, k) numbers of columns, each called in messages as it is named here.
 
@@ -308,9 +316,7 @@ def read_numbers(path: Path, most: int = WIDEST) -> tuple[list[str], list[str], 
     """
     try:
         rows = rows_in(text_of(path))
-        first = next((i for i, r in enumerate(rows) if is_numeric(r.cells) and not r.comment), None)
-        if first is None:
-            raise InputError("no rows of two or more numbers that are not comments")
+        first = first_of_numbers(rows)
         above = [row.cells for row in rows[:first]]
         below = [row for row in rows[first:] if not row.comment]
         width = min(below[0].width, most)

@@ -2,8 +2,8 @@
 
 What a machine exports becomes the loading part of the test with a standard deviation for each
 force: unloading and tearing are cut, slack is cut and its end becomes zero, noise is estimated.
-Everything inferred, converted, cut or shifted is told in `Curve.notices`; what cannot be decided
-is refused.
+`Curve.notices` reports everything that is inferred, converted, cut or shifted; what cannot be
+decided is refused.
 """
 
 from __future__ import annotations
@@ -117,8 +117,8 @@ def read(
             unit = units.get(quantity) or declared.get(quantity)
             values[quantity] *= _factor(quantity, unit, values[quantity], notices)
             if not (largest := np.abs(values[quantity]).max()) < LARGEST:
-                told = _told(quantity, largest)
-                raise InputError(f"the {_label(quantity)} reaches {told}: check its unit")
+                reached = _measured(quantity, largest)
+                raise InputError(f"the {_label(quantity)} reaches {reached}: check its unit")
         return _loading(values, lines, notices)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}") from error
@@ -150,7 +150,7 @@ def mean_of(curves: Sequence[Curve]) -> Curve:
     xs = [getattr(c, along) for c in curves]
     low, high = max(x[0] for x in xs), min(x[-1] for x in xs)
     if not low < high:
-        spans = ", ".join(f"{_told(along, x[0])} to {_told(along, x[-1])}" for x in xs)
+        spans = ", ".join(f"{_measured(along, x[0])} to {_measured(along, x[-1])}" for x in xs)
         raise InputError(f"repeats have no {_label(along)} in common: {spans}")
     n, pairs = len(curves), list(zip(xs, curves, strict=True))
     grid = np.linspace(low, high, int(np.median([len(x) for x in xs])))
@@ -200,7 +200,7 @@ def _candidates(cells: list[str], columns: Mapping[str, str]) -> dict[str, list[
         quantity = FIRST_NAMES.get(name_unit(cell)[0])
         if quantity in NAMES and quantity not in columns and k not in taken:
             found.setdefault(quantity, []).append(k)
-    for quantity in [q for q in SECOND if not _there(q, found)]:
+    for quantity in [q for q in SECOND if not {q, OTHERS[q]} & found.keys()]:
         names = [SECOND_NAMES.get(name_unit(cell)[0]) for cell in cells]
         places = [k for k, name in enumerate(names) if name == quantity and k not in taken]
         if places:
@@ -208,11 +208,6 @@ def _candidates(cells: list[str], columns: Mapping[str, str]) -> dict[str, list[
     if "force" in columns or "shear_force" in columns:  # the one asked for, not the other beside it
         found = {q: k for q, k in found.items() if q in columns or not q.endswith("force")}
     return found
-
-
-def _there(quantity: str, found: Mapping[str, object]) -> bool:
-    """Whether the quantity is there, or the other one that stands in for it."""
-    return quantity in found or OTHERS[quantity] in found
 
 
 def _enough(found: Mapping[str, object]) -> bool:
@@ -226,7 +221,9 @@ def _places(
     rows: list[Row], columns: Mapping[str, str], notices: list[str]
 ) -> tuple[dict[str, int], dict[str, str], int]:
     """Column and declared unit of each quantity, and the first row of numbers."""
-    numbers = next((k for k, row in enumerate(rows) if is_numeric(row[2]) and not row[1]), None)
+    numbers = next(
+        (k for k, row in enumerate(rows) if is_numeric(row.cells) and not row.comment), None
+    )
     if numbers is None:
         raise InputError("no rows of two or more numbers that are not comments")
     if _enough(columns) and all(str(asked).strip().isdecimal() for asked in columns.values()):
@@ -238,13 +235,13 @@ def _places(
         declared = {}
         for _, _, cells, _ in rows[max(0, numbers - 2) : numbers]:
             declared |= _declared(cells, places)
-        return _one_force(places, rows[numbers][2]), declared, numbers
+        return _one_force(places, rows[numbers].cells), declared, numbers
     heading = 0
-    while is_numeric(rows[heading][2]) or not _enough(_candidates(rows[heading][2], columns)):
+    while is_numeric(rows[heading].cells) or not _enough(_candidates(rows[heading].cells, columns)):
         heading += 1
         if heading == len(rows):
             raise InputError(_no_heading(rows[:numbers], columns))
-    cells = rows[heading][2]
+    cells = rows[heading].cells
     found = _candidates(cells, columns)
     for quantity, many in found.items():
         if not many:
@@ -259,10 +256,10 @@ def _places(
             notices.append(f"The column '{cells[many[0]]}' was taken as the {_label(quantity)}.")
     places = _one_force({quantity: many[0] for quantity, many in found.items()}, cells)
     declared, first = _declared(cells, places), heading + 1
-    while first < len(rows) and rows[first][1]:
+    while first < len(rows) and rows[first].comment:
         first += 1
-    if first < len(rows) and not any(is_number(cell) for cell in rows[first][2]):
-        declared = _declared(rows[first][2], places, line_of_units=True) | declared
+    if first < len(rows) and not any(is_number(cell) for cell in rows[first].cells):
+        declared = _declared(rows[first].cells, places, line_of_units=True) | declared
         first += 1
     return places, declared, first
 
@@ -336,8 +333,7 @@ def _numbers(
     if len(table) < FEWEST:
         raise InputError(f"only {rows_of(len(table))} of numbers, at least {FEWEST} are needed")
     if left := len(rows) - len(table):
-        were = "was" if left == 1 else "were"
-        notices.append(f"{rows_of(left)} without numbers {were} left out.")
+        notices.append(f"{rows_of(left)} without numbers {_were(left)} left out.")
     values = numbers_in(table, {f"the {_label(q)}": place for q, place in places.items()})
     return dict(zip(places, values.T.copy(), strict=True)), np.array([row.line for row in table])
 
@@ -353,6 +349,10 @@ def rows_of(n: int) -> str:
     return "1 row" if n == 1 else f"{n} rows"
 
 
+def _were(n: int) -> str:
+    return "was" if n == 1 else "were"
+
+
 # Units
 
 
@@ -360,7 +360,7 @@ def _label(quantity: str) -> str:
     return quantity.replace("_", " ")
 
 
-def _told(quantity: str, value: float) -> str:
+def _measured(quantity: str, value: float) -> str:
     unit = next(iter(UNITS[quantity]))
     return f"{np.degrees(value) if unit == 'deg' else value:.3g} {unit}"
 
@@ -397,82 +397,93 @@ def _factor(quantity: str, unit: str | None, values: FloatArray, notices: list[s
 
 def _loading(values: Mapping[str, FloatArray], lines: np.ndarray, notices: list[str]) -> Curve:
     """Cut what is not loading, move the zero, estimate the noise."""
-    per_length = "shear_force" in values
     along = "displacement" if "displacement" in values else "shear_angle"
-    force_name = "shear_force" if per_length else "force"
-    x, f, angle = values[along], values[force_name], values.get("shear_angle")
+    force = "shear_force" if "shear_force" in values else "force"
+    angle = [values["shear_angle"]] if "shear_angle" in values else []
+    rows = np.stack([values[along], values[force], *angle])  # (2 or 3, n)
+    rows = _ahead(rows[:, : _end(rows, along, force, lines, notices)], along, lines, notices)
+    if rows[1].max() <= 0:
+        raise InputError("the force is nowhere positive while loading: is its sign reversed?")
+    if along == "displacement":
+        rows = _from_zero(rows, force, notices)
+    x, f, *angle = _enough_rows(rows)
+    sigma = _noise(x, f)
+    if along == "displacement" and x[0] == 0 and f[0] > 3 * sigma[0]:
+        notices.append(f"A preload of {_measured(force, f[0])} was kept.")
+    displacement = x if along == "displacement" else None
+    shear_angle = angle[0] if angle else None
+    return Curve(f, displacement, shear_angle, sigma, force == "shear_force", tuple(notices))
 
-    def few(n: int) -> str:
-        """Refuse what is left."""
+
+def _enough_rows(rows: FloatArray, why: str = "") -> FloatArray:
+    """Refuse too few rows (k, n)."""
+    n = rows.shape[-1]
+    if n < FEWEST:
         belong = "row belongs" if n == 1 else "rows belong"
-        return f"only {n} {belong} to the loading, at least {FEWEST} are needed"
+        raise InputError(f"only {n} {belong} to the loading, at least {FEWEST} are needed{why}")
+    return rows
 
+
+def _end(rows: FloatArray, along: str, force: str, lines: np.ndarray, notices: list[str]) -> int:
+    """Number of rows before unloading and tearing."""
+    x, f = rows[:2]
     end = int(x.argmax()) + 1
-    if end < FEWEST:
-        raise InputError(f"{few(end)}: the {_label(along)} is largest at line {lines[end - 1]}")
+    _enough_rows(x[:end], f": the {_label(along)} is largest at line {lines[end - 1]}")
     if end < len(x):
         notices.append(
             f"{rows_of(len(x) - end)} after the largest {_label(along)}, "
-            f"{_told(along, x[end - 1])}, {'was' if len(x) - end == 1 else 'were'} cut."
+            f"{_measured(along, x[end - 1])}, {_were(len(x) - end)} cut."
         )
     top = int(f[:end].argmax())
     if f[top] > 0 and f[top:end].min() < (1 - DROP) * f[top]:
         notices.append(
-            f"The force drops by more than {100 * DROP:g} % after {_told(force_name, f[top])} at "
-            f"{_told(along, x[top])}: {rows_of(end - top)} from there on "
-            f"{'was' if end - top == 1 else 'were'} cut."
+            f"The force drops by more than {100 * DROP:g} % after {_measured(force, f[top])} at "
+            f"{_measured(along, x[top])}: {rows_of(end - top)} from there on "
+            f"{_were(end - top)} cut."
         )
         end = top
-    if end < FEWEST:
-        raise InputError(few(end))
-    x, f, angle = x[:end], f[:end], angle if angle is None else angle[:end]
+    _enough_rows(x[:end])
+    return end
 
+
+def _ahead(rows: FloatArray, along: str, lines: np.ndarray, notices: list[str]) -> FloatArray:
+    """Leave out rows that do not move ahead; refuse a record that goes back."""
+    x = rows[0]
     reached = np.maximum.accumulate(x)
-    back = reached - x
-    worst = int(back.argmax())
-    if back[worst] > BACK * np.ptp(x):
+    worst = int((reached - x).argmax())
+    if reached[worst] - x[worst] > BACK * np.ptp(x):
         raise InputError(
-            f"{_label(along)} is not monotone: goes back by {_told(along, back[worst])} at line "
-            f"{lines[worst]}"
+            f"{_label(along)} is not monotone: goes back by "
+            f"{_measured(along, reached[worst] - x[worst])} at line {lines[worst]}"
         )
     ahead = np.r_[True, x[1:] > reached[:-1]]
     if not ahead.all():
         n = int((~ahead).sum())
-        words = "that does not move ahead was" if n == 1 else "that do not move ahead were"
-        notices.append(f"{rows_of(n)} {words} left out.")
-    x, f, angle = x[ahead], f[ahead], angle if angle is None else angle[ahead]
+        move = "does not move" if n == 1 else "do not move"
+        notices.append(f"{rows_of(n)} that {move} ahead {_were(n)} left out.")
+    return _enough_rows(rows[:, ahead])
 
-    if len(x) < FEWEST:
-        raise InputError(few(len(x)))
-    if f.max() <= 0:
-        raise InputError("the force is nowhere positive while loading: is its sign reversed?")
-    slack = _slack(x, f) if along == "displacement" else None
-    if slack:
+
+def _from_zero(rows: FloatArray, force: str, notices: list[str]) -> FloatArray:
+    """Cut the slack, or let the displacement start at zero; an angle stays as it was measured."""
+    x, f = rows[:2]
+    if slack := _slack(x, f):
         start, level = slack
-        taut = x > start
-        x, f, angle = x[taut] - start, f[taut] - level, angle if angle is None else angle[taut]
         notices.append(
             f"Slack up to {start:.4g} mm was cut, displacement counts from there; the constant "
-            f"{_told(force_name, level)} before it was subtracted from the force."
+            f"{_measured(force, level)} before it was subtracted from the force."
         )
-    elif along == "displacement" and x[0] != 0:
-        # a sheet that was strained by x[0] already would have taken about the slope of the start
-        near = slice(0, max(FEWEST, np.searchsorted(x, x[0] + abs(x[0]))))
-        slope = max(np.polyfit(x[near], f[near], 1)[0], 0.0)
-        if x[0] < 0 or f[0] < UNSTRAINED * slope * x[0]:
-            notices.append(f"The displacement was shifted by {-x[0]:.4g} mm to start at 0.")
-            x = x - x[0]
-        else:
-            notices.append(
-                f"The curve begins at {x[0]:.4g} mm with {_told(force_name, f[0])}: not shifted."
-            )
-    if len(x) < FEWEST:
-        raise InputError(few(len(x)))
-    sigma = _noise(x, f)
-    if not slack and along == "displacement" and x[0] == 0 and f[0] > 3 * sigma[0]:
-        notices.append(f"A preload of {_told(force_name, f[0])} was kept.")
-    displacement = x if along == "displacement" else None
-    return Curve(f, displacement, angle, sigma, per_length, tuple(notices))
+        return np.stack([x - start, f - level, *rows[2:]])[:, x > start]
+    if x[0] == 0:
+        return rows
+    # a sheet that was strained by x[0] already would have taken about the slope of the start
+    near = slice(0, max(FEWEST, np.searchsorted(x, x[0] + abs(x[0]))))
+    slope = max(np.polyfit(x[near], f[near], 1)[0], 0.0)
+    if x[0] < 0 or f[0] < UNSTRAINED * slope * x[0]:
+        notices.append(f"The displacement was shifted by {-x[0]:.4g} mm to start at 0.")
+        return np.stack([x - x[0], *rows[1:]])
+    notices.append(f"The curve begins at {x[0]:.4g} mm with {_measured(force, f[0])}: not shifted.")
+    return rows
 
 
 def _slack(x: FloatArray, f: FloatArray) -> tuple[float, float] | None:
