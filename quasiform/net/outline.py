@@ -16,6 +16,7 @@ import numpy as np
 import shapely
 
 from ..checks import InputError, check_file, check_number, naming, optional
+from ..tables import read_numbers
 from ..tools.mending import edges_of, together
 from ..tools.surface_file import KINDS, read_surface
 from .blank import check_unit
@@ -120,42 +121,23 @@ def read_outline(path: str | Path, scale: float = 1.0) -> shapely.Polygon:
     kind = path.suffix.lower()
     with naming(path):
         check_number("scale", scale)
-        if kind in (".dxf", *TABLES):
+        if kind == ".dxf":
             check_file(path)
         if kind == ".dxf":
             outline = _from_lines(_drawn(path, scale), GAP)
         elif kind in KINDS:
             outline = _from_lines(_rim(*read_surface(path, scale)), 0.0)
         elif kind in TABLES:
-            outline = _loop(scale * _table(path.read_text(encoding="utf-8-sig")))
+            points = read_numbers(path, most=2)[2]
+            if not np.isfinite(points).all():
+                raise InputError("not all coordinates are finite numbers")
+            outline = _loop(scale * points)
         else:
             known = ", ".join([".dxf", *KINDS, *TABLES])
             raise InputError(f"unknown kind of outline '{kind}': expected one of {known}")
         low_x, low_y, high_x, high_y = outline.bounds
         check_unit(max(high_x - low_x, high_y - low_y), scale)
     return outline
-
-
-def _table(text: str) -> FloatArray:
-    """(n, 2) points of a table of two or more columns; the first line may be a heading."""
-    points: list[list[float]] = []
-    first = True
-    for number, line in enumerate(text.splitlines(), 1):
-        line = line.split("#")[0].strip()
-        if not line:
-            continue
-        if ";" in line:  # where the comma is the decimal sign
-            line = line.replace(",", ".")
-        try:
-            x, y = (float(word) for word in re.split(r"[\s,;]+", line)[:2])
-            points.append([x, y])
-        except ValueError:
-            if not first:
-                raise InputError(f"line {number}: expected x, y, got {line!r}") from None
-        first = False
-    if not np.isfinite(points).all():
-        raise InputError("not all coordinates are finite numbers")
-    return np.reshape(points, (-1, 2))
 
 
 def _drawn(path: Path, scale: float) -> list[FloatArray]:
