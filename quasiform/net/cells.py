@@ -286,8 +286,8 @@ def _triangulated(faces: list[list[int]], points: FloatArray, sharp: float) -> I
         return np.empty((0, 3), dtype=int)
     fans = [_fan(np.array(face), points[face]) for face in faces]
     angles = _smallest_angles(points[np.vstack(fans)])
-    ends = np.cumsum([len(fan) for fan in fans])
-    worst = np.minimum.reduceat(angles, ends - [len(fan) for fan in fans])
+    starts = np.cumsum([0, *map(len, fans[:-1])])
+    worst = np.minimum.reduceat(angles, starts)
     for k in np.flatnonzero(worst < sharp):
         fans[k] = _best(faces[k], points)
     return np.vstack(fans)

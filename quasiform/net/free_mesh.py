@@ -38,8 +38,7 @@ def triangulate(outline: shapely.Polygon, size: float, orientation: float = 0.0)
     outline : shapely.Polygon
         mm.
     size : float
-        Spacing of comparable fibre lines, mm; edges are longer by the factor that makes as many
-        triangles.
+        Spacing of fibre lines that make as many triangles, mm.
     orientation : float
         Angle of the warp to x, degrees.
 
@@ -75,9 +74,10 @@ def triangulate(outline: shapely.Polygon, size: float, orientation: float = 0.0)
         _, corners = gmsh.model.mesh.getElementsByType(2)
     finally:
         gmsh.finalize()
-    number = np.zeros(int(tags.max()) + 1, dtype=int)
-    number[tags.astype(int)] = np.arange(len(tags))
-    used, triangles = np.unique(number[corners.astype(int)], return_inverse=True)
+    order = np.argsort(tags)
+    used, triangles = np.unique(
+        order[np.searchsorted(tags, corners, sorter=order)], return_inverse=True
+    )
     nodes = places.reshape(-1, 3)[used, :2]
     return _blank(nodes, triangles.reshape(-1, 3), np.zeros((0, 4), dtype=int), orientation)
 
@@ -104,9 +104,10 @@ def own_mesh(path: str | Path, orientation: float = 0.0, scale: float = 1.0) -> 
         check_number("scale", scale)
         check_file(path)
         mesh = read_mesh(path)
-        blocks = mesh.cells_dict
-        triangles = np.asarray(blocks.get("triangle", np.zeros((0, 3), dtype=int)))
-        quads = np.asarray(blocks.get("quad", np.zeros((0, 4), dtype=int)))
+        triangles, quads = (
+            np.asarray(mesh.cells_dict.get(kind, np.zeros((0, corners), dtype=int)))
+            for kind, corners in (("triangle", 3), ("quad", 4))
+        )
         if not len(triangles) + len(quads):
             raise InputError("no triangles or quadrilaterals")
         points = np.pad(mesh.points, ((0, 0), (0, 3 - mesh.points.shape[1]))).astype(float)
