@@ -12,11 +12,13 @@ Units are mm, N, MPa and mJ; angles are degrees at this edge.
 from .checks import InputError
 from .comparison import Comparison, compare
 from .console.progress import progress
+from .energy.term import Term
 from .fabric import Fabric, TabulatedLaw, ThreeStageLaw
 from .handover import FlatPattern, Handover, abaqus_deck, export, flat_pattern
 from .identification import Identification, identify
-from .model import Scene
+from .model import Model
 from .net.blank import Blank, rectangle
+from .recipe import Recipe
 from .result.run import Result
 from .scenes.fabric_tests import cantilever, off_axis_tension, picture_frame
 from .scenes.forming import forming
@@ -32,10 +34,12 @@ __all__ = [
     "Identification",
     "InputError",
     "Journal",
+    "Model",
     "Progress",
+    "Recipe",
     "Result",
-    "Scene",
     "TabulatedLaw",
+    "Term",
     "ThreeStageLaw",
     "Tool",
     "abaqus_deck",

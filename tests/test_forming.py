@@ -20,7 +20,15 @@ from quasiform.net import outline
 from quasiform.net.blank import rotation
 from quasiform.result.measures import percentile
 from quasiform.scenes import scene_file
-from quasiform.scenes.scene_file import Gripper, SceneFile, Support, SurfaceFile, Where
+from quasiform.scenes.scene_file import (
+    Form,
+    Gripper,
+    Region,
+    SceneFile,
+    Support,
+    SurfaceFile,
+    Where,
+)
 from quasiform.tools.shapes import (
     Plane,
     ball,
@@ -180,8 +188,9 @@ ROUND_DIE = scene_file.load("hemisphere").tools[1:]
 def test_a_mirror_plane_maps_outline_and_every_tool_onto_itself(punch, place, outlined, mirror):
     file = changed(travel=20.0)
     low = punch.distance(np.array([[0.0, 0.0, -500.0]]))[0][0] - 500.0  # of its lowest point, -z
-    driven = replace(file.tools[0], shape=punch, place=place, z=1.004 - low)
-    file = replace(file, tools=[driven, *ROUND_DIE], outline=outlined or file.outline)
+    driven = replace(file.tools[0], geometry=punch, place=place, z=1.004 - low)
+    blank = Region.of(outlined) if outlined else file.blank
+    file = replace(file, tools=[driven, *ROUND_DIE], blank=blank)
     assert qf.forming(file, size=20).blank.mirror == mirror
 
 
@@ -282,7 +291,7 @@ def test_outline_is_closed_and_runs_around_the_sheet(tmp_path):
 
 
 def test_draw_in_of_a_disc_by_direction():
-    disc = solved(changed(outline=outline.disc(150.0)), travel=5.0)
+    disc = solved(changed(blank=Region("disc", (150.0,))), travel=5.0)
     assert disc.scene.blank.mirror == ("x", "y")
     assert set(disc.draw_in) == {"+x", "-x", "+y", "-y"}
     for name, edge in disc.scene.edges.items():
@@ -300,7 +309,7 @@ def test_draw_in_of_a_disc_by_direction():
 
 def test_a_hole_keeps_its_outline_and_takes_a_mirror_plane_away():
     hole = outline.disc(12.0, (125.0, 0.0))
-    file = changed(outline=outline.with_holes(outline.disc(150.0), [hole]))
+    file = changed(blank=Region.of(outline.with_holes(outline.disc(150.0), [hole])))
     result = solved(file, travel=2.0)
     assert result.scene.blank.mirror == ("y",)
     outer, hole = result.outline()
@@ -318,7 +327,7 @@ def own_mesh(path, blank, **parts):
     """A scene on the mesh of a blank, written in metres."""
     points = np.pad(blank.nodes / 1000.0, ((0, 0), (0, 1)))
     meshio.write(path, meshio.Mesh(points, [("triangle", blank.triangles)]))
-    return changed(mesh=path, mesh_scale=1000.0, outline=shapely.Polygon(), **parts)
+    return changed(mesh=path, mesh_scale=1000.0, blank=None, **parts)
 
 
 def test_a_mesh_along_the_fibres_from_a_file_gives_the_same_answer(tmp_path):
@@ -360,7 +369,7 @@ def test_a_punch_from_a_file_forms_as_the_one_in_closed_form(tmp_path):
     meshio.write(path, meshio.Mesh(corners, [("triangle", outward(ConvexHull(corners)))]))
     file = SurfaceFile(path, scale=75.0, spacing=5.0)
     results = [
-        solved(changed(tools={"punch": {"shape": shape}}), travel=1.0, size=30.0)
+        solved(changed(tools={"punch": {"geometry": shape}}), travel=1.0, size=30.0)
         for shape in (file, scene_file.load("hemisphere").tools[0].shape)
     ]
     assert results[0].force == pytest.approx(results[1].force, rel=5e-3)
@@ -542,11 +551,17 @@ def test_a_gripper_with_a_stiffness_yields():
 def test_a_pull_needs_no_holder():
     """The sheet is held in the plane z = 0 by supports and nothing rests on it."""
     tools = [
-        replace(scene_file.load("hemisphere").tools[0], shape=ball(5.0), place=(0.0, 300.0)),
-        replace(scene_file.load("hemisphere").tools[1], shape=Plane(), friction=0.0, z=-50.0),
+        replace(
+            scene_file.load("hemisphere").tools[0],
+            geometry=Form("ball", (5.0,)),
+            place=(0.0, 300.0),
+        ),
+        replace(
+            scene_file.load("hemisphere").tools[1], geometry=Form("plane"), friction=0.0, z=-50.0
+        ),
     ]
     file = replace(
-        changed(outline=outline.rectangle(160.0, 80.0)),
+        changed(blank=Region("rectangle", (160.0, 80.0))),
         tools=tools,
         supports=[
             Support(Where(side="-x"), "xyz"),
@@ -750,11 +765,11 @@ def box_file(**tools):
         (lambda: qf.forming(law="lockin"), "unknown law 'lockin': did you mean 'locking'?"),
         (lambda: qf.forming(law=replace(SLIPPERY, bending_weft=0.0)), "needs a bending stiffness"),
         (
-            lambda: qf.forming(changed(outline=outline.rectangle(100, 100)), size=10),
+            lambda: qf.forming(changed(blank=Region("rectangle", (100, 100))), size=10),
             "the blank does not reach under the blank holder",
         ),
         (
-            lambda: qf.forming(changed(outline=outline.rectangle(400, 60, (0, 130))), size=7),
+            lambda: qf.forming(changed(blank=Region("rectangle", (400, 60), (0, 130))), size=7),
             "the blank does not surround the weight of the blank holder",
         ),
         (

@@ -15,8 +15,8 @@ import numpy as np
 from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
 from ..energy.bending import Bending
-from ..energy.contact import LEVER
-from ..model import COLLAPSE, Scene
+from ..energy.contact import LEVER, moment
+from ..model import COLLAPSE, Model
 from ..net.blank import Blank
 from .files import replaced
 from .measures import (
@@ -54,7 +54,7 @@ class Result:
 
     Parameters
     ----------
-    scene : Scene
+    model : Model
     states : list of State
         The start first, the end last.
     reason : str
@@ -95,11 +95,11 @@ class Result:
         Where only the end was solved on this mesh: the way there on a coarser one.
     """
 
-    scene: Scene
+    model: Model
     states: list[State]
     reason: str
     wall_s: float
-    linear_solves: float
+    linear_solves: int
     settings: dict[str, Any]
     increments: int
     rescues: dict[str, int]
@@ -116,12 +116,23 @@ class Result:
     shear_angle_error: FloatArray | None = None
     spread: dict[str, dict[str, float | bool]] = field(default_factory=dict)
     path: Result | None = None
+    memory: tuple[Any, ...] = ()
+    factorisations: dict[str, int] = field(default_factory=dict)
+    notes: list[tuple[str, str]] = field(default_factory=list)
+
+    def add_work(self, other: Result, failed: int = 0) -> None:
+        """Add the factorisations of another run, and of a failed try on this mesh."""
+        own = f"{self.model.size:g} mm"
+        counts = self.factorisations | {own: self.factorisations.get(own, 0) + failed}
+        for mesh, count in other.factorisations.items():
+            counts[mesh] = counts.get(mesh, 0) + count
+        self.factorisations = counts
 
     def __repr__(self) -> str:
         end = self.states[-1]
         return (
-            f"<Result {self.scene.name}: {self.status} at {end.travel:.4g} of "
-            f"{self.scene.travel:.4g}, {len(self.scene.blank.triangles)} triangles, "
+            f"<Result {self.model.name}: {self.status} at {end.travel:.4g} of "
+            f"{self.model.travel:.4g}, {len(self.model.sheet.blank.triangles)} triangles, "
             f"{end.force:.4g} N>"
         )
 
@@ -133,16 +144,16 @@ class Result:
     @property
     def blank(self) -> Blank:
         """The whole flat blank in the user's axes (mirrored where a part was modelled)."""
-        return self.scene.whole[0]
+        return self.model.sheet.whole[0]
 
     def positions(self, state: int = -1) -> FloatArray:
         """(n_nodes, 3) positions of the whole sheet, mm."""
-        return self.scene.whole_positions(self.states[state].x)
+        return self.model.sheet.whole_positions(self.states[state].x)
 
     def shear_angles(self, state: int = -1) -> FloatArray:
         """(n_triangles,) signed shear angle of the whole sheet, degrees."""
-        _, _, _, source, sign = self.scene.whole
-        return np.degrees(self.scene.membrane.shear_angle(self.states[state].x))[source] * sign
+        _, _, _, source, sign = self.model.sheet.whole
+        return np.degrees(self.model.membrane.shear_angle(self.states[state].x))[source] * sign
 
     @property
     def shear_angle(self) -> FloatArray:
@@ -155,15 +166,15 @@ class Result:
         return self.states[-1].force
 
     @property
-    def model(self) -> list[tuple[str, str]]:
+    def description(self) -> list[tuple[str, str]]:
         """What is modelled and what was left out, and why."""
         if self.path is None:
-            return self.scene.model
+            return [*self.model.description, *self.notes]
         why = (
-            f"only the end is solved at {self.scene.size:g} mm; the forces along the travel come "
+            f"only the end is solved at {self.model.size:g} mm; the forces along the travel come "
             "from there (--size keeps one mesh)"
         )
-        return [*self.scene.model, (f"path on a mesh of {self.path.scene.size:g} mm", why)]
+        return [*self.model.description, *self.notes, (f"path on a mesh of {self.path.model.size:g} mm", why)]
 
     @property
     def followed(self) -> list[tuple[Result, int]]:
@@ -179,20 +190,20 @@ class Result:
     @property
     def history(self) -> dict[str, FloatArray]:
         """Columns by name, one row an increment (goes straight into a pandas DataFrame)."""
-        travel, rows = self.scene.travel_name, self.rows
+        travel, rows = self.model.travel_name, self.rows
         columns = {travel: [s.travel for s in rows], "force_N": [s.force for s in rows]}
-        for name in self.scene.measures:
+        for name in self.model.measures:
             columns[name] = [s.measures[name] for s in rows]
         columns["linear_solves"] = [s.linear_solves for s in rows]
         if self.path is not None:
-            sizes = [self.path.scene.size] * (len(rows) - 1)
-            columns["size_mm"] = [*sizes, self.scene.size]
+            sizes = [self.path.model.size] * (len(rows) - 1)
+            columns["size_mm"] = [*sizes, self.model.size]
         return {name: np.array(values) for name, values in columns.items()}
 
     def cell_fields(self, state: int = -1) -> dict[str, FloatArray]:
         """Fields by triangle: shear_angle (degrees), warp, weft (unit vectors), E11, E22, S12."""
-        blank, membrane = self.blank, self.scene.membrane
-        _, _, _, source, sign = self.scene.whole
+        blank, membrane = self.blank, self.model.membrane
+        _, _, _, source, sign = self.model.sheet.whole
         x = self.states[state].x
         I4, _, I8 = membrane.invariants(x)
         positions = self.positions(state)
@@ -226,11 +237,11 @@ class Result:
             Which increment; the last one by default.
         """
         x, blank = self.states[state].x, self.blank
-        _, _, _, source, _ = self.scene.whole
+        _, _, _, source, _ = self.model.sheet.whole
         gamma = np.abs(self.shear_angles(state))
         return {
-            "beyond_identified_range": gamma > self.scene.fabric.shear_range,
-            "unstable_in_shear": shear_stability(self.scene.membrane, x)[source] < 0,
+            "beyond_identified_range": gamma > self.model.sheet.fabric.shear_range,
+            "unstable_in_shear": shear_stability(self.model.membrane, x)[source] < 0,
             "collapsed": gamma > np.degrees(COLLAPSE),
             "rovings_may_slip": shear_gradient(blank, gamma) > SLIP_GRADIENT,
         }
@@ -244,7 +255,7 @@ class Result:
     def flange_lift(self) -> float:
         """How far the sheet leaves the flat faces of fixed tools at the end, mm."""
         x, lift = self.states[-1].x, 0.0
-        for contact in self.scene.contacts:
+        for contact in self.model.contacts:
             if contact.tool.motion == "fixed":
                 d, n, _ = contact.distance(contact.relative(x))
                 above = np.abs(n[:, 2]) > 0.99
@@ -258,19 +269,19 @@ class Result:
 
         The waves of each family of fibres off punch and die: how many lines, their wavelength (mm).
         """
-        scene, x = self.scene, self.states[-1].x
+        scene, x = self.model, self.states[-1].x
         found: dict[str, float | None] = {"flange_lift_mm": self.flange_lift}
         for term in scene.terms:
             if not isinstance(term, Bending):
                 continue
             kappa = term.curvature(x)
             found["largest_curvature_1_per_mm"] = float(np.abs(kappa).max())
-            at_nodes = np.full((len(scene.blank.nodes), 2), np.nan)
-            at_nodes[term.dofs[:, 0] // 3] = kappa
+            at_nodes = np.full((len(scene.sheet.blank.nodes), 2), np.nan)
+            at_nodes[term.nodes[:, 0]] = kappa
             for contact in scene.contacts:
                 if contact.tool.motion != "free":
                     at_nodes[contact.nodal_force(x) > 0] = np.nan
-            blank, source, *_ = scene.whole
+            blank, source, *_ = scene.sheet.whole
             for f, family in enumerate(("warp", "weft")):
                 lines, wavelength = waves(blank.nodes, getattr(blank, family), at_nodes[source, f])
                 found[f"waving_{family}_lines"] = lines
@@ -279,7 +290,7 @@ class Result:
 
     def resting_tools(self) -> dict[str, dict[str, float | list[float]]]:
         """Lift (mm) and tilt (degrees) of each free tool, or the moment its guide takes (N mm)."""
-        scene, x = self.scene, self.states[-1].x
+        scene, x = self.model, self.states[-1].x
         found = {}
         for contact in scene.contacts:
             tool, dofs = contact.tool, contact.tool_dofs
@@ -289,27 +300,27 @@ class Result:
                 tool.name, {"lift_mm": float(x[dofs[0]] - self.states[0].x[dofs[0]])}
             )
             if tool.tilts:
-                tilt = np.degrees(scene.to_user(x[dofs[1:]]) / LEVER)
+                tilt = np.degrees(scene.sheet.to_user(x[dofs[1:]]) / LEVER)
                 entry["tilt_deg"] = tilt.tolist()
             else:
-                moment = contact.moment(x) / scene.share
+                turning = moment(contact, x) / scene.share
                 for axis, plane in enumerate("xy"):
-                    if plane in scene.blank.mirror:
-                        moment[1 - axis] = 0.0
-                moment = scene.to_user(moment) + entry.get("held_moment_Nmm", np.zeros(2))
-                entry["held_moment_Nmm"] = moment.tolist()
+                    if plane in scene.sheet.blank.mirror:
+                        turning[1 - axis] = 0.0
+                turning = scene.sheet.to_user(turning) + entry.get("held_moment_Nmm", np.zeros(2))
+                entry["held_moment_Nmm"] = turning.tolist()
         return found
 
     def point_fields(self, state: int = -1) -> dict[str, FloatArray]:
         """Fields by node: displacement (mm) and contact_pressure (MPa, summed over the tools)."""
-        _, source, _, _, _ = self.scene.whole
+        _, source, _, _, _ = self.model.sheet.whole
         X = np.pad(self.blank.nodes, ((0, 0), (0, 1)))
-        if self.scene.dim == 3:
-            X[:, 2] = self.scene.positions(self.scene.x0)[source, 2]
-        force = np.zeros(len(self.scene.blank.nodes))
-        for contact in self.scene.contacts:
+        if self.model.sheet.dim == 3:
+            X[:, 2] = self.model.sheet.positions(self.model.x0)[source, 2]
+        force = np.zeros(len(self.model.sheet.blank.nodes))
+        for contact in self.model.contacts:
             force += contact.nodal_force(self.states[state].x)
-        pressure = force / self.scene.blank.node_areas
+        pressure = force / self.model.sheet.blank.node_areas
         return {
             "displacement": self.positions(state) - X,
             "contact_pressure": pressure[source],
@@ -318,31 +329,31 @@ class Result:
     @property
     def max_penetration(self) -> float:
         """Deepest penetration into a tool at the end, mm, at the nodes, where contact acts."""
-        depths = [c.penetration(self.states[-1].x).max() for c in self.scene.contacts]
+        depths = [c.penetration(self.states[-1].x).max() for c in self.model.contacts]
         return float(max([0.0, *depths]))
 
     @property
     def chord_penetration(self) -> float:
         """Deepest penetration at the middle of an element edge, mm: how far chords cut fillets."""
-        x, facets = self.states[-1].x, self.scene.blank.mesh.facets.T
+        x, facets = self.states[-1].x, self.model.sheet.blank.mesh.facets.T
         depths = []
-        for contact in self.scene.contacts:
-            arm = self.scene.positions(x)[facets].mean(1) - contact.origin(x)
+        for contact in self.model.contacts:
+            arm = self.model.sheet.positions(x)[facets].mean(1) - contact.origin(x)
             middle = contact.in_tool_frame(x, arm)
-            depths.append(0.5 * self.scene.fabric.thickness - contact.distance(middle)[0].min())
+            depths.append(0.5 * self.model.sheet.fabric.thickness - contact.distance(middle)[0].min())
         return float(max([0.0, *depths]))
 
     @property
     def draw_in(self) -> dict[str, float]:
         """Inward motion of the middle of each edge at the end, mm, by direction."""
         positions = self.positions()
-        return {name: edge.draw_in(positions) for name, edge in self.scene.edges.items()}
+        return {name: edge.draw_in(positions) for name, edge in self.model.edges.items()}
 
     @property
     def areas(self) -> dict[str, float | None]:
         """Mean |shear angle| of each named area at the end, degrees; None without a triangle."""
         means: dict[str, float | None] = {}
-        for name, (centre, radius) in self.scene.areas.items():
+        for name, (centre, radius) in self.model.areas.items():
             inside = disc(self.blank, centre, radius)
             weight = self.blank.areas[inside]
             gamma = np.abs(self.shear_angle[inside])
@@ -361,7 +372,7 @@ class Result:
             doubts.append("no pivots from the linear solver")
         elif self.negative_pivots:
             doubts.append(f"{self.negative_pivots} negative pivots of the tangent")
-        deepest = CERTIFIED_PENETRATION * self.scene.fabric.thickness
+        deepest = CERTIFIED_PENETRATION * self.model.sheet.fabric.thickness
         if self.max_penetration > deepest:
             doubts.append(
                 f"penetration {self.max_penetration:.4f} mm at a node, {deepest:.4f} allowed"
@@ -373,8 +384,8 @@ class Result:
             )
         if self.collapse:
             doubts.append(f"collapsed from {self.collapse['travel_mm']:.4g} mm on")
-        given, own = self.settings.get("increment"), self.scene.increment
-        if given and self.scene.frictions and given > own * (1 + 1e-6):
+        given, own = self.settings.get("increment"), self.model.increment
+        if given and self.model.frictions and given > own * (1 + 1e-6):
             doubts.append(f"friction follows its path in increments of {own:g} mm, not {given:g}")
         scatter = [name for name in self.quantities if not self.spread.get(name, ROBUST)["robust"]]
         if scatter:
@@ -386,7 +397,7 @@ class Result:
     @property
     def wrinkled(self) -> bool:
         """Whether the flange is lifted and waves; on a coarse mesh it lifts beside a fillet too."""
-        if self.flange_lift <= LIFTED * self.scene.fabric.thickness:
+        if self.flange_lift <= LIFTED * self.model.sheet.fabric.thickness:
             return False
         return any(self.wrinkles[f"waving_{family}_lines"] for family in ("warp", "weft"))
 
@@ -402,7 +413,7 @@ class Result:
                 f"{self.snaps[0]['to_mm']:.4g} mm"
             )
         lift = self.flange_lift
-        if lift > LIFTED * self.scene.fabric.thickness:
+        if lift > LIFTED * self.model.sheet.fabric.thickness:
             signs.append(f"the flange lifts by {lift:.2f} mm")
         if scattered := [name for name, entry in self.spread.items() if not entry["robust"]]:
             signs.append(f"perturbed starts scatter in {', '.join(scattered)}")
@@ -452,11 +463,11 @@ class Result:
     def _comparable(self, coarse: Result) -> bool:
         names = [
             [term.name for term in scene.terms if "between" not in term.name]
-            for scene in (self.scene, coarse.scene)
+            for scene in (self.model, coarse.model)
         ]
         return (
             names[0] == names[1]
-            and self.scene.fixed.sum() >= coarse.scene.fixed.sum()
+            and self.model.fixed.sum() >= coarse.model.fixed.sum()
             and self.states[-1].travel == coarse.states[-1].travel
             and not (coarse.reason or coarse.collapse)
         )
@@ -480,7 +491,7 @@ class Result:
 
     def summary(self) -> dict[str, Any]:
         """Contents of `summary.json`."""
-        scene, blank = self.scene, self.blank
+        scene, blank = self.model, self.blank
         gamma = np.abs(self.shear_angle)
         I4, _, I8 = scene.membrane.invariants(self.states[-1].x)
         summary: dict[str, Any] = {
@@ -491,14 +502,14 @@ class Result:
             "reached_mm": self.states[-1].travel,
             "reason": self.reason,
             "wall_s": round(self.wall_s, 3),
-            "linear_solves": round(self.linear_solves, 1),
+            "linear_solves": self.linear_solves,
             "solver": self.settings,
             "increments": self.increments,
-            "path_size_mm": None if self.path is None else self.path.scene.size,
-            "nodes": len(scene.blank.nodes),
-            "triangles": len(scene.blank.triangles),
+            "path_size_mm": None if self.path is None else self.path.model.size,
+            "nodes": len(scene.sheet.blank.nodes),
+            "triangles": len(scene.sheet.blank.triangles),
             "dofs": int((~scene.fixed).sum()),
-            "model": [f"{entry}: {why}" for entry, why in self.model],
+            "model": [f"{entry}: {why}" for entry, why in self.description],
             "force_N": self.force,
             "shear_angle_deg": {
                 "max": float(gamma.max()),
@@ -558,7 +569,7 @@ class Result:
         with replaced(out, force=force) as folder:
             self.write(folder)
         if (
-            self.scene.outputs["pictures"] if pictures is None else pictures
+            self.model.outputs["pictures"] if pictures is None else pictures
         ):  # last: the numbers of a long run shall not depend on them
             self.draw(Path(out))
         return Path(out)
@@ -594,7 +605,7 @@ class Result:
                 writer.writerows([number, *(f"{c:.6g}" for c in point)] for point in loop)
         collection = ET.Element("VTKFile", type="Collection", version="0.1")
         series = ET.SubElement(collection, "Collection")
-        followed = self.followed if self.scene.outputs["increments"] else []
+        followed = self.followed if self.model.outputs["increments"] else []
         for number, (result, i) in enumerate(followed):
             name, travel = f"increment_{number:04d}.vtu", result.states[i].travel
             if number >= since:

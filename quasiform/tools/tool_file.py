@@ -15,7 +15,8 @@ import numpy as np
 from ..checks import InputError, naming
 from . import grid as surface
 from .mending import loops_of, normals_of
-from .shapes import Shape, Tool
+from .part import ToolPart
+from .shapes import Tool
 from .surface_file import SurfaceFile
 
 if TYPE_CHECKING:
@@ -24,25 +25,6 @@ if TYPE_CHECKING:
 FloatArray = np.ndarray
 SMALL = 0.2  # of an opening: the model warns of a narrower punch
 SAMPLES = 60  # points a side of the grid on which an opening is looked for
-
-
-@dataclass(frozen=True)
-class ToolPart:
-    """A tool of a scene file; `friction`, `z` and `tilt` are None where the file leaves them open.
-
-    Its role is "punch", "die" or "holder", its motion that of a `Tool`.
-    """
-
-    name: str
-    role: str
-    motion: str
-    shape: Shape | SurfaceFile
-    friction: float | None = None
-    mass: float = 0.0
-    force: float = 0.0
-    z: float | None = None
-    place: tuple[float, float] = (0.0, 0.0)
-    tilt: bool | None = None
 
 
 @dataclass(frozen=True)
