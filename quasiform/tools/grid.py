@@ -303,9 +303,10 @@ def check_surface(
 def check_size(size: float, reach: float, scale: float = 1.0) -> None:
     """Refuse a tool of a size (mm) that only a wrong unit explains, beside a blank of `reach`."""
     if not reach / 50 <= size <= reach * 50:
+        unit = likely_unit(size / scale, reach)
         raise InputError(
-            f"the tool is {size:.3g} mm across (scale = {scale:g}) beside a sheet of "
-            f"{reach:.3g} mm: {likely_unit(size / scale, reach)}"
+            f"the tool is {size:.3g} mm across (scale = {scale:g}) beside a sheet of {reach:.3g} "
+            f"mm: {unit}"
         )
 
 

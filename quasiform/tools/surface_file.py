@@ -70,15 +70,7 @@ class SurfaceFile:
     spacing: float | None = None
 
     def placed(self) -> tuple[FloatArray, np.ndarray, list[str]]:
-        """Read the surface, repair it and put it in the tool's frame.
-
-        Returns
-        -------
-        vertices, triangles
-            As `read_surface`.
-        repairs : list of str
-            What was done.
-        """
+        """Vertices and triangles as `read_surface`, in the tool's frame, and what was repaired."""
         vertices, triangles, merging = _read(self.path, self.scale)
         with naming(self.path):
             triangles, repairs = without_defects(vertices, triangles)
@@ -111,8 +103,8 @@ def read_surface(path: str | Path, scale: float = 1.0) -> Surface:
 
     Returns
     -------
-    vertices : (n, 3) array
-        mm; those that coincide are merged.
+    vertices : (n, 3) array, mm
+        Those that coincide are merged.
     triangles : (m, 3) array
         Vertices in the order that turns about the outward normal; none degenerate.
 
@@ -200,12 +192,7 @@ def _whole_stl(content: bytes) -> bytes:
 
 
 def read_mesh(path: Path, kind: str | None = None) -> meshio.Mesh:
-    """Read a mesh by meshio, in the format `kind` or that of the suffix.
-
-    Raises
-    ------
-    InputError
-    """
+    """Read a mesh by meshio, in the format `kind` or that of the suffix; or raise InputError."""
     reader = import_module(f"meshio.{kind}" if kind else "meshio")
     with _reading(path):
         mesh = reader.read(str(path))
