@@ -30,7 +30,7 @@ from scipy.sparse.csgraph import connected_components
 from skfem import Basis, ElementTriP1, MeshLine, MeshTri
 
 from ..checks import InputError, check_number
-from ..tools.mending import rings_of
+from ..tools.mending import position, rings_of
 from .cells import cut_net
 
 if TYPE_CHECKING:
@@ -443,9 +443,9 @@ def _in_one_part(blank: Blank, outline: shapely.Polygon, size: float) -> Blank:
     bad = np.vstack([bad, blank.nodes[rim[visits > 1]]])  # parts joined by a node
     missing = abs(outline.area - blank.areas.sum()) > CLOSE * size * outline.length
     if len(bad) or missing:
-        x, y = np.round(bad[0] if len(bad) else outline.centroid.coords[0], 6) + 0.0
+        at = position(bad[0] if len(bad) else outline.centroid.coords[0])
         raise InputError(
-            f"size {size:g} mm is too large for the outline near ({x:.4g}, {y:.4g}): "
-            "it is narrower there than the spacing of the fibre lines"
+            f"size {size:g} mm is too large for the outline near {at}: it is narrower there than "
+            "the spacing of the fibre lines"
         )
     return blank

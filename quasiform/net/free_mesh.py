@@ -13,7 +13,7 @@ import numpy as np
 from scipy.sparse import csc_array
 
 from ..checks import InputError, check_file, check_number, naming, optional
-from ..tools.mending import check_numbers
+from ..tools.mending import check_numbers, position
 from ..tools.surface_file import read_mesh
 from .blank import MOST_TRIANGLES, Blank, check_unit, rotation
 
@@ -150,8 +150,8 @@ def _blank(nodes: FloatArray, triangles: IntArray, quads: IntArray, orientation:
     twice = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
     flat = np.abs(twice) <= 1e-6 * (u**2 + v**2).sum(1)
     if flat.any():
-        x, y = nodes[triangles[flat.argmax()]].mean(0)
-        raise InputError(f"an element without area at ({x:.4g}, {y:.4g}) mm")
+        at = position(nodes[triangles[flat.argmax()]].mean(0))
+        raise InputError(f"an element without area at {at} mm")
     triangles[twice < 0] = triangles[twice < 0][:, ::-1]
     R = rotation(orientation)
     blank = Blank(nodes, triangles, R[:, 0], R[:, 1])

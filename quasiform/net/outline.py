@@ -16,7 +16,7 @@ import numpy as np
 import shapely
 
 from ..checks import InputError, check_file, check_number, naming, optional
-from ..tools.mending import edges_of, together
+from ..tools.mending import edges_of, position, together
 from ..tools.surface_file import KINDS, read_surface
 from .blank import check_unit
 
@@ -63,7 +63,7 @@ def with_holes(outline: shapely.Polygon, holes: Iterable[shapely.Polygon]) -> sh
     for k, hole in enumerate(holes, 1):
         if not outline.contains_properly(hole):
             raise InputError(
-                f"hole {k} near {_place(hole.centroid)} does not lie inside the outline, clear of "
+                f"hole {k} near {position(hole.centroid.coords[0])} does not lie inside the outline, clear of "
                 "its edge and of other holes"
             )
         outline = outline.difference(hole)
@@ -196,13 +196,13 @@ def _from_lines(lines: list[FloatArray], gap: float) -> shapely.Polygon:
     for hole in holes:
         if not outline.contains_properly(hole):
             raise InputError(
-                f"more than one outline: a second loop near {_place(hole.centroid)} does not lie "
+                f"more than one outline: a second loop near {position(hole.centroid.coords[0])} does not lie "
                 "inside the largest"
             )
     for hole, other in itertools.combinations(holes, 2):
         if hole.intersects(other):
             raise InputError(
-                f"a loop lies inside or across another hole near {_place(other.centroid)}"
+                f"a loop lies inside or across another hole near {position(other.centroid.coords[0])}"
             )
     return shapely.orient_polygons(with_holes(outline, holes))
 
@@ -230,12 +230,12 @@ def _open_end(lines: np.ndarray) -> str:
     points, times = np.unique(ends, axis=0, return_counts=True)
     free = points[times == 1]
     if len(free) < 2:
-        return f"lines branch at {_place(points[times.argmax()])}: expected closed loops"
+        return f"lines branch at {position(points[times.argmax()])}: expected closed loops"
     distance, nearest = cKDTree(free).query(free, k=2)
     at = distance[:, 1].argmin()
     return (
-        f"no closed loop: gap of {distance[at, 1]:.3g} mm between {_place(free[at])} and "
-        f"{_place(free[nearest[at, 1]])}"
+        f"no closed loop: gap of {distance[at, 1]:.3g} mm between {position(free[at])} and "
+        f"{position(free[nearest[at, 1]])}"
     )
 
 
@@ -247,12 +247,9 @@ def _loop(points: FloatArray) -> shapely.Polygon:
     nothing = 1e-9 * loop.length**2
     place = re.search(r"\[(\S+) (\S+)\]", shapely.is_valid_reason(loop))
     if place and shapely.convex_hull(loop).area > nothing:
-        raise InputError(f"the outline crosses itself at {_place(map(float, place.groups()))}")
+        raise InputError(
+            f"the outline crosses itself at {position([float(x) for x in place.groups()])}"
+        )
     if not loop.is_valid or loop.area <= nothing:
         raise InputError("the outline encloses no area")
     return shapely.orient_polygons(loop)
-
-
-def _place(point: shapely.Point | Iterable[float]) -> str:
-    x, y = (point.x, point.y) if isinstance(point, shapely.Point) else point
-    return f"({round(x, 6) + 0.0:.4g}, {round(y, 6) + 0.0:.4g})"

@@ -90,7 +90,7 @@ def without_defects(vertices: FloatArray, triangles: np.ndarray) -> tuple[np.nda
         triangles = np.vstack([triangles, fans])
         edges, at = max(map(len, small)), position(vertices[small[0]].mean(0))
         one, some = f"a hole of {edges} edges", f"{len(small)} holes of up to {edges} edges, one"
-        repairs.append(f"{one if len(small) == 1 else some} around {at} of the file filled")
+        repairs.append(f"{one if len(small) == 1 else some} around {at} mm of the file filled")
     least = MERGED * np.linalg.norm(np.ptp(vertices, axis=0))
     triangles, slivers = without_slivers(vertices, triangles, least)
     if slivers:
@@ -254,8 +254,8 @@ def _enclosed(vertices: FloatArray, loop: np.ndarray) -> float:
 
 
 def position(point: FloatArray) -> str:
-    """A point as text."""
-    return "({:.4g}, {:.4g}, {:.4g}) mm".format(*point)
+    """A point (2,) or (3,) as text; a rounding error is no coordinate."""
+    return f"({', '.join(f'{x:.4g}' for x in np.round(point, 6) + 0.0)})"
 
 
 def _count(n: int, one: str, many: str = "") -> str:

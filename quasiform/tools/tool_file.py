@@ -14,7 +14,7 @@ import numpy as np
 
 from ..checks import InputError, naming
 from . import grid as surface
-from .mending import loops_of, normals_of
+from .mending import loops_of, normals_of, position
 from .part import ToolPart
 from .shapes import Tool
 from .surface_file import SurfaceFile
@@ -99,8 +99,8 @@ class ToolFile:
         lines = [
             (
                 f"{part.name} from {self.name}",
-                f"{size}, {self.n_triangles} triangles, its middle at {_at(box.mean(0))}, its "
-                f"{'lowest' if self.down else 'highest'} point at {_at(end[:2] + part.place)}, "
+                f"{size}, {self.n_triangles} triangles, its middle at {position(box.mean(0)[:2])}, its "
+                f"{'lowest' if self.down else 'highest'} point at {position(end[:2] + part.place)}, "
                 f"{where} the sheet",
             )
         ]
@@ -205,8 +205,8 @@ def why_tight(driven: Tool, fixed: Tool, files: Mapping[str, ToolFile], thicknes
         return ""
     origin = files[named[0]].file.moved_origin(*(off if named[0] == driven.name else -off))
     return (
-        f"; the middle of the {driven.name} is at {_at(middles[0])}, that of the {fixed.name} at "
-        f"{_at(middles[1])}; for the {named[0]}, {origin} brings them together"
+        f"; the middle of the {driven.name} is at {position(middles[0])}, that of the {fixed.name} at "
+        f"{position(middles[1])}; for the {named[0]}, {origin} brings them together"
     )
 
 
@@ -249,8 +249,3 @@ def _check_over_sheet(
         f"y {low_y:.4g} to {high_y:.4g} mm; {file.moved_origin(*off)} puts it over the middle of "
         "the sheet"
     )
-
-
-def _at(point: FloatArray) -> str:
-    # a rounding error is no coordinate
-    return "({:.4g}, {:.4g})".format(*(np.round(point[:2], 3) + 0.0))
