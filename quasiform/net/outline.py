@@ -62,9 +62,10 @@ def with_holes(outline: shapely.Polygon, holes: Iterable[shapely.Polygon]) -> sh
     """Cut holes out of an outline. InputError unless they lie inside without touching."""
     for k, hole in enumerate(holes, 1):
         if not outline.contains_properly(hole):
+            at = position(hole.centroid.coords[0])
             raise InputError(
-                f"hole {k} near {position(hole.centroid.coords[0])} does not lie inside the outline, clear of "
-                "its edge and of other holes"
+                f"hole {k} near {at} does not lie inside the outline, clear of its edge and of "
+                "other holes"
             )
         outline = outline.difference(hole)
     return outline
@@ -195,15 +196,14 @@ def _from_lines(lines: list[FloatArray], gap: float) -> shapely.Polygon:
             holes.append(loop)
     for hole in holes:
         if not outline.contains_properly(hole):
+            at = position(hole.centroid.coords[0])
             raise InputError(
-                f"more than one outline: a second loop near {position(hole.centroid.coords[0])} does not lie "
-                "inside the largest"
+                f"more than one outline: a second loop near {at} does not lie inside the largest"
             )
     for hole, other in itertools.combinations(holes, 2):
         if hole.intersects(other):
-            raise InputError(
-                f"a loop lies inside or across another hole near {position(other.centroid.coords[0])}"
-            )
+            at = position(other.centroid.coords[0])
+            raise InputError(f"a loop lies inside or across another hole near {at}")
     return shapely.orient_polygons(with_holes(outline, holes))
 
 
