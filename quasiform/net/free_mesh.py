@@ -110,9 +110,8 @@ def own_mesh(path: str | Path, orientation: float = 0.0, scale: float = 1.0) -> 
         )
         if not len(triangles) + len(quads):
             raise InputError("no triangles or quadrilaterals")
-        points = np.pad(mesh.points, ((0, 0), (0, 3 - mesh.points.shape[1]))).astype(float)
-        check_numbers(points, np.concatenate([triangles.ravel(), quads.ravel()]))
-        points *= scale
+        check_numbers(mesh.points, np.concatenate([triangles.ravel(), quads.ravel()]))
+        points = scale * mesh.points
         if np.ptp(points[:, 2]) > 1e-6 * np.ptp(points):
             raise InputError(f"the mesh is not flat: its z spans {np.ptp(points[:, 2]):.3g} mm")
         used = np.unique(np.r_[triangles.ravel(), quads.ravel()])

@@ -139,11 +139,10 @@ def _read_mesh(path: Path, kind: str) -> Surface:
         raise InputError("not a readable .ply file: no end_header")  # meshio would not end either
     if kind in MESHIO:
         mesh = read_mesh(path, MESHIO[kind])
-        points = np.pad(np.asarray(mesh.points, float), ((0, 0), (0, 3 - mesh.points.shape[1])))
         kinds = ("triangle", "quad", "polygon")
         faces = [block.data for block in mesh.cells if block.type in kinds]
         fans = [face[:, [0, i, i + 1]] for face in faces for i in range(1, face.shape[1] - 1)]
-        return points, np.concatenate(fans or [np.empty((0, 3), int)])
+        return mesh.points, np.concatenate(fans or [np.empty((0, 3), int)])
     if kind == ".obj":
         with _reading(path):
             return _read_obj(content)
@@ -158,7 +157,8 @@ def _read_obj(content: bytes) -> Surface:
     """Vertices and faces of an OBJ file; negative numbers count back from the last vertex."""
     points: list[list[float]] = []
     fans: list[tuple[int, int, int]] = []
-    for line in re.sub(r"\\\r?\n", " ", content.decode("latin-1")).splitlines():
+    text = content.decode("latin-1").replace("\r", "\n")
+    for line in re.sub(r"\\\n+", " ", text).split("\n"):
         key, *words = line.split("#")[0].split() or [""]
         if key == "v":
             x, y, z = map(float, words[:3])  # a weight or colours may follow
@@ -192,12 +192,16 @@ def _whole_stl(content: bytes) -> bytes:
 
 
 def read_mesh(path: Path, kind: str | None = None) -> meshio.Mesh:
-    """Read a mesh by meshio, in the format `kind` or that of the suffix; or raise InputError."""
+    """Read a mesh, its points (n, 3), by meshio, in the format `kind` or that of the suffix.
+
+    InputError for a file that it cannot read.
+    """
     reader = import_module(f"meshio.{kind}" if kind else "meshio")
     with _reading(path):
         mesh = reader.read(str(path))
-    if len(mesh.points) and (mesh.points.ndim != 2 or mesh.points.shape[1] not in (2, 3)):
+    if mesh.points.ndim != 2 or mesh.points.shape[1] not in (2, 3):
         raise InputError("the points have no two or three coordinates")
+    mesh.points = np.pad(np.asarray(mesh.points, float), ((0, 0), (0, 3 - mesh.points.shape[1])))
     return mesh
 
 
