@@ -254,8 +254,8 @@ def _enclosed(vertices: FloatArray, loop: np.ndarray) -> float:
 
 
 def position(point: FloatArray) -> str:
-    """A point (2,) or (3,) as text; a rounding error is no coordinate."""
-    return f"({', '.join(f'{x:.4g}' for x in np.round(point, 6) + 0.0)})"
+    """A point (2,) or (3,), mm, as text; a rounding error is no coordinate."""
+    return f"({', '.join(f'{x:.4g}' for x in np.round(point, 3) + 0.0)})"
 
 
 def _count(n: int, one: str, many: str = "") -> str:
