@@ -657,20 +657,23 @@ def test_help_and_version_exit_0(capsys):
         assert capsys.readouterr().out.strip()
 
 
-def blocks(language):
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
+def blocks(language, page="README.md"):
+    text = (ROOT / page).read_text(encoding="utf-8")
     return re.findall(rf"```{language}\n(.*?)```", text, re.DOTALL)
 
 
 @pytest.mark.usefixtures("unsolved")
 def test_the_commands_of_the_readme_are_accepted(capsys, here):
     pytest.importorskip("igl")
-    part, campaign = blocks("toml")
+    part = blocks("toml", "docs/how-to/own-part.md")[0]
+    campaign = blocks("toml", "docs/how-to/own-fabric.md")[0]
     (here / "my-part.toml").write_text(part, encoding="utf-8")
     u = np.linspace(0.0, 30.0, 40)
     table = "\n".join(["u [mm];F [N]", *(f"{a:.4f};{4 * a**0.5:.4f}" for a in u)])
-    for name in ("my-test", "oat-1", "oat-2", "oat-3", "frame"):
+    for name in ("my-test", "oat-1", "oat-2", "oat-3"):
         (here / f"{name}.csv").write_text(table, encoding="utf-8")
+    rows = [f"{k};{a:.4f};{4e-3 * a**0.5:.7f}" for k, a in enumerate(u)]
+    (here / "frame.csv").write_text("\n".join(["no;Way (mm);F", *rows]), encoding="utf-8")
     (here / "my-fabric.toml").write_text(campaign, encoding="utf-8")
     a, z = np.radians(np.arange(0, 360, 10)), np.radians(np.arange(-80, 81, 10))
     ring = np.stack(
@@ -685,13 +688,14 @@ def test_the_commands_of_the_readme_are_accepted(capsys, here):
     meshio.write(
         here / "punch.stl", meshio.Mesh(50.0 * ball.points, [("triangle", ball.simplices)])
     )
-    lines = [line for block in blocks("sh") for line in block.splitlines()]
+    pages = ("README.md", "docs/reference/command-line.md")
+    lines = [line for page in pages for block in blocks("sh", page) for line in block.splitlines()]
     commands = [
         match[1]
         for line in lines
         if (match := re.search(r"\bquasiform ((oat|form|identify).*)", line))
     ]
-    assert len(commands) >= 3
+    assert len(commands) >= 10
     for command in [*commands, "identify my-fabric.toml"]:
         assert main([*shlex.split(command), "--dry-run"]) == 0, capsys.readouterr().err
 
@@ -699,6 +703,7 @@ def test_the_commands_of_the_readme_are_accepted(capsys, here):
 @pytest.mark.usefixtures("undrawn")
 def test_the_script_of_the_readme_runs(monkeypatch):
     (script,) = blocks("python")
+    (recorded,) = blocks("python", "docs/how-to/python.md")
     solved = []
 
     def small(scene, callback=None, out=None, resume=False):
@@ -710,7 +715,9 @@ def test_the_script_of_the_readme_runs(monkeypatch):
     qf_solve = qf.solve
     monkeypatch.setattr(qf, "solve", small)
     monkeypatch.setattr(qf, "refine", lambda scene, accuracy: small(scene))
-    exec(script, {})
+    names = {}
+    exec(script, names)
+    exec(recorded, names)
     assert solved == ["oat-45", "hemisphere-45", "hemisphere-0", "tetrahedron-0"]
     assert FILES <= set(contents(Path("out")))
 

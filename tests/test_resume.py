@@ -79,7 +79,7 @@ def test_memory_of_friction_is_part_of_the_record(tmp_path, monkeypatch):
 
 
 def test_a_run_that_ended_for_good_stays_ended(tmp_path, monkeypatch):
-    monkeypatch.setattr(qf.Scene, "lost", lambda self, x: "the holder is lost")
+    monkeypatch.setattr(qf.Model, "lost", lambda self, x: "the holder is lost")
     stopped = qf.solve(forming(), estimate=False, out=tmp_path)
     monkeypatch.undo()
     again = qf.solve(forming(), estimate=False, out=tmp_path, resume=True)
@@ -122,7 +122,7 @@ def test_the_path_of_a_refined_run_is_carried_on(tmp_path):
         qf.refine(scene, killed_after(5), out=tmp_path)
     assert "on a mesh of 20 mm, the way to one of 10 mm" in readable(tmp_path)["reason"]
     result = qf.refine(scene, out=tmp_path, resume=True)
-    assert result.path.scene.size == 20
+    assert result.path.model.size == 20
     straight = qf.refine(scene)
     np.testing.assert_allclose(result.states[-1].x, straight.states[-1].x, atol=1e-6)
     assert readable(tmp_path)["status"] == "completed"

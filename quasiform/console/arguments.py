@@ -19,7 +19,7 @@ from ..handover.fibres import AXES
 from ..identification.campaign import KINDS, METHODS
 from ..identification.fit import ALGORITHMS, NAMES
 from ..identification.records import NAMES as QUANTITIES
-from ..result.run import package_version
+from ..result.summary import package_version
 from ..scenes.scene_file import built_in
 from ..solve.linear import NAMES as LINEAR_SOLVERS
 from . import completion

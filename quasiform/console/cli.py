@@ -35,8 +35,8 @@ from ..identification import Identification, identify
 from ..identification.campaign import METHODS, Campaign, load
 from ..identification.identified import FILES as MATERIAL_FILES
 from ..model import Scene
-from ..result import saved
 from ..result.files import FILES, INCREMENTS, RESUME, check_folder, replaced
+from ..result.record import Record
 from ..result.run import Result
 from ..scenes.fabric_tests import off_axis_tension
 from ..scenes.forming import forming
@@ -247,7 +247,7 @@ def _deck(arguments: argparse.Namespace) -> int:
 
 
 def _plot(arguments: argparse.Namespace) -> int:
-    runs = [saved.read(folder) for folder in arguments.folders]
+    runs = [Record.read(folder) for folder in arguments.folders]
     if arguments.travel is not None:
         runs = [run.near(arguments.travel) for run in runs]
     rows = pictures.table(runs)
@@ -255,7 +255,7 @@ def _plot(arguments: argparse.Namespace) -> int:
         _say(_across(rows))
         return 0
     pictures.check_animation(arguments.animate)
-    one = f"{_case(runs[0].label)}-pictures" if len(runs) == 1 else "pictures"
+    one = f"{_case(runs[0].name)}-pictures" if len(runs) == 1 else "pictures"
     folder = arguments.out or _unused(one)
     check_folder(folder, force=arguments.force, names=pictures.FILES)
     _say(f"writing to {folder}")
@@ -270,10 +270,10 @@ def _plot(arguments: argparse.Namespace) -> int:
 
 
 def _view(arguments: argparse.Namespace) -> int:
-    run = saved.read(arguments.folder)
+    run = Record.read(arguments.folder)
     if arguments.travel is not None:
         run = run.near(arguments.travel)
-    path = arguments.out or _unused(_case(run.label), ".html")
+    path = arguments.out or _unused(_case(run.name), ".html")
     if path.exists() and not arguments.force:
         raise InputError(f"{path} is there already: choose another, or replace it with --force")
     view.save(run, path)
@@ -429,7 +429,8 @@ def _report(result: Result) -> str:
         rows["perturbed"] += f"; scattered: {', '.join(scattered)}" if scattered else "; all robust"
     if summary["path_size_mm"]:
         rows["path"] = f"followed at size {summary['path_size_mm']:g} mm"
-    rows["certified"] = "yes" if certified is True else f"no: {certified}"
+    reasons = "; ".join(summary["certificate"]["reasons"])
+    rows["certified"] = "yes" if certified else f"no: {reasons}"
     rows["linear solves"] = (
         f"{summary['linear_solves']:.0f} of the finest mesh ({summary['solver']['linear']}) "
         f"in {summary['increments']} increments"

@@ -11,7 +11,7 @@ from importlib.util import find_spec
 import numpy as np
 from scipy.sparse import csr_array
 
-from ..result.run import package_version
+from ..result.summary import package_version
 from ..solve.linear import linear_solver
 
 PACKAGES = ("numpy", "scipy", "scikit-fem", "pyamg", "meshio", "shapely", "matplotlib", "rich")
