@@ -23,13 +23,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..checks import InputError, check_file, check_number, naming, optional
-from .mending import check_numbers, edges_of, merged, normals_of, oriented, without_defects
+from .mending import check_numbers, merged, oriented, without_defects
 
 if TYPE_CHECKING:
     import meshio
     from scipy.spatial.transform import Rotation
-
-__all__ = ["check_numbers", "edges_of", "naming", "normals_of", "optional"]
 
 FloatArray = np.ndarray
 Surface = tuple[FloatArray, np.ndarray]
