@@ -6,9 +6,9 @@ alternating, so the mesh has the mirror planes and quarter turns of the net. Suc
 the stretch of a fibre on a leg and the shear at a right corner: they neither lock nor have an
 hourglass mode (the net is isostatic, as the inextensible fabric is).
 
-An outline of any form, with holes, is cut out of the net (`net.cut_net`): lines run through its
-corners and the extremes of round ones, evenly spaced between; the outline gives way where it comes
-near a line or a node, so legs stay on fibres exactly.
+An outline of any form, with holes, is cut out of the net (`cells.cut_net`). Lines run through its
+corners and the extremes of round ones, evenly spaced between. Where the outline comes near a line
+or a node, the outline is moved there, so legs stay on fibres exactly.
 
 Triangles at the outline may have one leg on a fibre only; as every node of the outline ends one
 line, the net stays isostatic and does not lock.
@@ -282,7 +282,7 @@ def cut(
     orientation : float
         Angle of the warp to x, degrees.
     through : points, mm
-        Points that shall lie on a warp and a weft line.
+        Points that must lie on a warp and a weft line.
     mirror : tuple of "x" and "y"
         Mesh only the positive side of the planes x = 0, y = 0.
 

@@ -83,7 +83,7 @@ def triangulate(outline: shapely.Polygon, size: float, orientation: float = 0.0)
 
 
 def own_mesh(path: str | Path, orientation: float = 0.0, scale: float = 1.0) -> Blank:
-    """Read the user's own flat mesh of triangles and quadrilaterals (whatever meshio reads).
+    """Read the user's own flat mesh of triangles and quadrilaterals (any format of meshio).
 
     Parameters
     ----------
@@ -163,7 +163,7 @@ def _blank(nodes: FloatArray, triangles: IntArray, quads: IntArray, orientation:
 def _pairs(blank: Blank, count: int) -> IntArray:
     """Pair the first `count` triangles with neighbours, for as many and as good quadrilaterals.
 
-    A matching of most weight in the graph of neighbours; what stays alone is paired with itself.
+    A matching of largest weight in the graph of neighbours; single ones are paired with themselves.
     """
     from scipy.optimize import Bounds, LinearConstraint, milp
 

@@ -159,7 +159,7 @@ def _drawn(path: Path, scale: float) -> list[FloatArray]:
                 curve = paths.make_path(entity)
                 points = np.array([p.vec2 for p in curve.flattening(CHORD / scale)], dtype=float)
                 lines.append(scale * points.reshape(-1, 2))
-    except Exception as error:  # whatever the parser meets
+    except Exception as error:  # any that the parser raises
         reason = " ".join(str(error).replace(f"'{path}'", "it").split())
         reason = reason or type(error).__name__
         raise InputError(f"not a readable .dxf file: {reason}") from error

@@ -29,8 +29,8 @@ FAR = 1e4  # mm; half the length of straight tools that have no end
 class Shape(Protocol):
     """A rigid surface in its own frame.
 
-    A shape may also have a `box` (2, 3), corners of its bounding box, which spares the distance of
-    points far away, and `sharpest`, its smallest radius of curvature (mm).
+    A shape may also have a `box` (2, 3), the corners of its bounding box, beyond which distances
+    are not evaluated, and `sharpest`, its smallest radius of curvature (mm).
     """
 
     def distance(self, points: FloatArray) -> Distance:

@@ -1,6 +1,6 @@
 """Triangles of a surface from a file: STL, OBJ, PLY, OFF, VTU, VTK, MSH, and CAD through gmsh.
 
-Files come from strangers: nothing in them is executed, and reading writes nothing.
+Files are not trusted: nothing in them is executed, and reading writes nothing.
 """
 
 from __future__ import annotations
