@@ -113,7 +113,7 @@ class Record:
 
     @property
     def name(self) -> str:
-        """Name of the folder, by which runs of one case are given apart; of the case without one."""
+        """Name of the folder, or of the case where there is none."""
         return str(self.summary["case"]) if self.folder is None else self.folder.resolve().name
 
     @property
