@@ -1,4 +1,4 @@
-"""Carry a field from one sheet to the points of another.
+"""Map a field from one sheet to the points of another.
 
 Where both sheets know their flat coordinates, a point is found by its material place, X: linear
 interpolation on the Delaunay triangulation of the flat points. Else by the closest point of the
@@ -54,7 +54,7 @@ def spacing(sheet: FormedSheet) -> float:
     return float(np.median(cKDTree(sheet.rest).query(sheet.rest, k=2)[0][:, 1]))
 
 
-def carried(
+def mapped(
     source: FormedSheet, target: FormedSheet, by: str, within: float | None = None
 ) -> FloatArray:
     """(n_target,) shear angle of one sheet at the points of another, degrees.
