@@ -249,7 +249,7 @@ def test_each_sheet_is_drawn_on_its_own_shape(result, tmp_path):
     moved.write(tmp_path / "moved.vtu")
     found = compare(result, tmp_path / "moved.vtu", by="flat")
     mine, theirs, both = (
-        picture.panel_field(found, panel)[0].places[:, 0].mean()
+        picture.fields_of(found.sheets, found.field, found.gamma)[panel][0].places[:, 0].mean()
         for panel in ("result", "reference", "difference")
     )
     assert theirs - mine == pytest.approx(7.0)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import dataclass
 from pathlib import Path
 from xml.sax.saxutils import escape
 
 import numpy as np
 
 from ..checks import optional
-from .pattern import FlatPattern
 
 FloatArray = np.ndarray
 ARROW = 0.15  # of the blank's size
@@ -18,7 +18,17 @@ LAYERS = {"BLANK": (8, "#777777"), "TRIM": (1, "#d00000"), "MARKS": (5, "#0050b0
 """Layers with their colours: numbers in DXF, names in SVG."""
 
 
-def write_dxf(pattern: FlatPattern, path: Path) -> None:
+@dataclass(frozen=True, eq=False)
+class Drawing:
+    """What is drawn: name of the part, lines (k, 2) in mm, flat unit vectors of warp and weft."""
+
+    name: str
+    trim: list[FloatArray]
+    blank: list[FloatArray]
+    along: FloatArray
+
+
+def write_dxf(pattern: Drawing, path: Path) -> None:
     """Write layers BLANK, TRIM and MARKS, $INSUNITS millimetres.
 
     Raises
@@ -44,7 +54,7 @@ def write_dxf(pattern: FlatPattern, path: Path) -> None:
     drawing.saveas(path)
 
 
-def write_svg(pattern: FlatPattern, path: Path) -> None:
+def write_svg(pattern: Drawing, path: Path) -> None:
     """Write the same as SVG; a unit of its view is a millimetre."""
     points = np.vstack([*pattern.blank, *pattern.trim])
     margin = 0.05 * float(np.ptp(points, axis=0).max())
@@ -72,7 +82,7 @@ def write_svg(pattern: FlatPattern, path: Path) -> None:
     path.write_text("\n".join([*out, "</svg>", ""]), encoding="utf-8")
 
 
-def write_csv(pattern: FlatPattern, path: Path) -> None:
+def write_csv(pattern: Drawing, path: Path) -> None:
     """Write the points of the lines: layer, number of the line in it, x, y."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
@@ -85,13 +95,13 @@ def write_csv(pattern: FlatPattern, path: Path) -> None:
 Mark = tuple[FloatArray | None, str, FloatArray, float]
 
 
-def _lines(pattern: FlatPattern, marks: list[Mark]) -> dict[str, list[FloatArray]]:
+def _lines(pattern: Drawing, marks: list[Mark]) -> dict[str, list[FloatArray]]:
     """Lines by layer."""
     arrows = [line for line, *_ in marks if line is not None]
     return {"BLANK": pattern.blank, "TRIM": pattern.trim, "MARKS": arrows}
 
 
-def _marks(pattern: FlatPattern) -> list[Mark]:
+def _marks(pattern: Drawing) -> list[Mark]:
     """Arrow (k, 2) or None, its words, where they begin, and how high they are, mm."""
     points = np.vstack(pattern.blank)
     low, high = points.min(0), points.max(0)

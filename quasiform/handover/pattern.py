@@ -20,6 +20,7 @@ from ..result.files import replaced
 from ..result.sheet import FormedSheet
 from ..tables import read_table
 from ..tools.surface_file import normals_of, optional
+from .drawing import Drawing, write_csv, write_dxf, write_svg
 from .fibres import limits_of, read_formed
 from .keywords import write_notices
 
@@ -105,13 +106,12 @@ class FlatPattern:
         InputError
             If the folder holds a pattern already and `force` is not set, or cannot be written.
         """
-        from .drawing import write_csv, write_dxf, write_svg
-
+        drawing = Drawing(self.name, self.trim, self.blank, self.along)
         with replaced(out, force=force, names=FILES) as folder:
             if not _without_dxf():
-                write_dxf(self, folder / "pattern.dxf")
-            write_csv(self, folder / "pattern.csv")
-            write_svg(self, folder / "pattern.svg")
+                write_dxf(drawing, folder / "pattern.dxf")
+            write_csv(drawing, folder / "pattern.csv")
+            write_svg(drawing, folder / "pattern.svg")
             title = f"Flat pattern of {self.name}, seen from the upper side (the punch's)"
             write_notices(folder / "pattern.txt", title, self.notices)
         return Path(out)
