@@ -20,7 +20,19 @@ LAYERS = {"BLANK": (8, "#777777"), "TRIM": (1, "#d00000"), "MARKS": (5, "#0050b0
 
 @dataclass(frozen=True, eq=False)
 class Drawing:
-    """What is drawn: name of the part, lines (k, 2) in mm, flat unit vectors of warp and weft."""
+    """Lines of a cut in the flat blank, seen from the upper side, where the punch is.
+
+    Parameters
+    ----------
+    name : str
+        Of the part, as written into the files.
+    trim : list of (k, 2) arrays
+        Lines to cut along, mm; a closed one repeats its first point.
+    blank : list of (k, 2) arrays
+        Outline of the blank and of its holes, closed, mm.
+    along : (2, 2) array
+        Flat unit vectors of warp (0°) and weft (90°).
+    """
 
     name: str
     trim: list[FloatArray]
@@ -29,13 +41,7 @@ class Drawing:
 
 
 def write_dxf(pattern: Drawing, path: Path) -> None:
-    """Write layers BLANK, TRIM and MARKS, $INSUNITS millimetres.
-
-    Raises
-    ------
-    InputError
-        If ezdxf is missing.
-    """
+    """Write layers BLANK, TRIM and MARKS, $INSUNITS millimetres; needs ezdxf."""
     ezdxf = optional("ezdxf", "cad", "a .dxf file needs ezdxf")
     drawing = ezdxf.new("R2010")
     drawing.header["$INSUNITS"] = 4

@@ -142,22 +142,10 @@ def limits_of(record: Record) -> tuple[str, ...]:
 
 
 def carry(record: Record, target: Shells | None = None, within: float | None = None) -> Fibres:
-    """Fibres of a run's last sheet by element of its own or of another mesh.
+    """Fibres of a run's last sheet (`read_formed`) by element of its own or of another mesh.
 
-    Parameters
-    ----------
-    record : Record
-        As of `read_formed`.
-    target : Shells, optional
-        The sheet's own mesh if not given.
-    within : float, optional
-        mm; elements whose centroid is farther from the sheet get nothing. The spacing of the
-        formed mesh if not given.
-
-    Raises
-    ------
-    InputError
-        If no element is near the sheet.
+    Elements whose centroid is farther than `within` (mm; the spacing of the formed mesh if not
+    given) from the sheet get nothing. If no element is near, InputError is raised.
     """
     sheet, notices = record.sheet, [*limits_of(record), *NOT_MODELLED]
     values = [sheet.cell_fields["warp"], sheet.cell_fields["weft"], sheet.area_ratio]

@@ -46,32 +46,16 @@ NOT_MODELLED = (
 
 
 @dataclass(frozen=True, eq=False)
-class FlatPattern:
-    """A cut in the flat blank.
+class FlatPattern(Drawing):
+    """A cut in the flat blank: `trim`, `blank` and `along` as in `Drawing`.
 
     Parameters
     ----------
-    name : str
-        Of the part, as written into the files.
-    trim : list of (k, 2) arrays
-        Lines to cut along, mm; a closed one repeats its first point.
-    blank : list of (k, 2) arrays
-        Outline of the blank and of its holes, closed, mm.
-    along : (2, 2) array
-        Flat unit vectors of warp (0°) and weft (90°).
     notices : tuple of str
         What the pattern does not hold: that of this one, then that of them all (`NOT_MODELLED`).
-
-    Notes
-    -----
-    Seen from the upper side, where the punch is.
     """
 
-    name: str
-    trim: list[FloatArray]
-    blank: list[FloatArray]
-    along: FloatArray
-    notices: tuple[str, ...]
+    notices: tuple[str, ...] = ()
 
     @property
     def area(self) -> float:
@@ -106,12 +90,11 @@ class FlatPattern:
         InputError
             If the folder holds a pattern already and `force` is not set, or cannot be written.
         """
-        drawing = Drawing(self.name, self.trim, self.blank, self.along)
         with replaced(out, force=force, names=FILES) as folder:
             if not _without_dxf():
-                write_dxf(drawing, folder / "pattern.dxf")
-            write_csv(drawing, folder / "pattern.csv")
-            write_svg(drawing, folder / "pattern.svg")
+                write_dxf(self, folder / "pattern.dxf")
+            write_csv(self, folder / "pattern.csv")
+            write_svg(self, folder / "pattern.svg")
             title = f"Flat pattern of {self.name}, seen from the upper side (the punch's)"
             write_notices(folder / "pattern.txt", title, self.notices)
         return Path(out)
