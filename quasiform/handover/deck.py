@@ -114,7 +114,7 @@ def abaqus_deck(
             "deck.inp",
             path,
             version=package_version(),
-            **{"scene": model, "words": words, "bends": bends, "nodes": nodes, "places": places},
+            **{"model": model, "words": words, "bends": bends, "nodes": nodes, "places": places},
             **{"membranes": labels, "shells": labels + offset, "tools": tools},
             **{"supports": supports, "motions": motions, "settle": SETTLE, "time": time},
             steps=[*settling, ("travel", time)],
