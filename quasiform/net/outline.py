@@ -25,7 +25,7 @@ from ..tools.surface_file import CAD, MESHES, read_surface
 FloatArray = np.ndarray
 CHORD = 0.01  # mm, largest distance of a polygon from the curve it stands for
 GAP = 0.05  # mm, ends of lines nearer than this meet
-SMALLEST, LARGEST = 5.0, 20e3  # mm across; beyond, the unit of a file is doubted
+SMALLEST, LARGEST = 5.0, 20e3  # mm across; beyond, the unit of a file is questioned
 TABLES = (".csv", ".txt", ".xy", ".dat")
 
 
