@@ -24,7 +24,7 @@ def read_toml(path: str | Path, build: Callable[[dict[str, Any]], T]) -> T:
 
 
 def _toml(path: str | Path) -> dict[str, Any]:
-    """Table of a TOML file that is not meant to hold up its reader."""
+    """Table of a TOML file; refuse one that would take very long to read."""
     check_file(path)
     if Path(path).stat().st_size > BIGGEST:
         raise InputError(f"larger than {BIGGEST / 1e6:g} MB")

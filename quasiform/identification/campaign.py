@@ -45,8 +45,8 @@ def load(path: str | Path, **given: Any) -> Campaign:
     ----------
     path : path
     **given
-        What stands over the file: method, keep, algorithm, size, name; of a CSV file also kind,
-        length, width, angle, side, fabric_side, thickness, columns, units.
+        Settings that replace those of the file: method, keep, algorithm, size, name; of a CSV file
+        also kind, length, width, angle, side, fabric_side, thickness, columns, units.
 
     Raises
     ------

@@ -339,7 +339,7 @@ def _numbers(
 
 
 def rows_of(n: int) -> str:
-    """Return a number of rows in words.
+    """Return "1 row" or "2 rows".
 
     Examples
     --------

@@ -229,7 +229,7 @@ def _part(table: _Tool) -> plain.ToolPart:
     return part
 
 
-# Edges that are held or pulled
+# Edges that are fixed or pulled
 
 
 class _Place(Table):
@@ -239,7 +239,7 @@ class _Place(Table):
     radius: _number("radius") = OPEN
 
 
-LETTERS = {"type": "string", "pattern": "^[xyz]+$", "description": "Directions that are held"}
+LETTERS = {"type": "string", "pattern": "^[xyz]+$", "description": "Directions that are fixed"}
 
 
 class _Support(_Place):
