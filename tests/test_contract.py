@@ -82,7 +82,9 @@ def test_it_is_refined_with_an_estimate(softened):
     result = qf.refine(strip(displacement=40.0, size=10.0).including(stitched))
     assert result.path is not None
     assert result.estimate["force_N"] > 0
-    assert all(any(t.name == "softening yarns" for t in r.model.terms) for r in (result, result.path))
+    assert all(
+        any(t.name == "softening yarns" for t in r.model.terms) for r in (result, result.path)
+    )
     # the memory has come along: without it the yarns would be new at the end of the travel
     kappa = result.memory[-1].kappa
     assert kappa.max() > 0.05

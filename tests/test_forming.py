@@ -518,7 +518,7 @@ HELD = {
 def pulled(tension, stiffness, orientation=0.0):
     file = changed(
         tools=HELD,
-        outline=outline.rectangle(160.0, 80.0),
+        blank=Region.of(outline.rectangle(160.0, 80.0)),
         supports=[Support(Where(side="-x"), "xy")],
         grippers=[Gripper(Where(side="+x"), (1.0, 0.0), tension, stiffness)],
     )
