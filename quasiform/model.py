@@ -242,6 +242,3 @@ class Model:
         return any(
             bool(((m.normals(x) * m.normals(trial)).sum(1) <= 0).any()) for m in self.membranes
         )
-
-
-Scene = Model

@@ -30,7 +30,7 @@ def test_hemisphere(capsys):
     result = example("hemisphere")["result"]
     assert result.status == "completed"
     assert result.model.size == 10
-    assert result.certified is True
+    assert result.certified
     assert "certified: True" in capsys.readouterr().out
 
 
@@ -38,7 +38,7 @@ def test_own_energy():
     """It stiffens the test, and its derivatives are those of its energy."""
     found = example("own_energy")
     plain, stitched = found["plain"], found["stitched"]
-    assert stitched.certified is True
+    assert stitched.certified
     assert 1.01 * plain.force < stitched.force < 1.5 * plain.force
     assert 0 < stitched.estimate["force_N"] < 0.05 * stitched.force
     term, x, h = stitched.model.terms[-1], stitched.states[-1].x, 1e-6

@@ -10,8 +10,8 @@ from quasiform.energy.membrane import Membrane
 from quasiform.fabric import Fabric
 from quasiform.net import outline
 from quasiform.net.blank import cut, rectangle, rotation
-from quasiform.net.edges import edge_points
-from quasiform.result.measures import disc, percentile, shear_gradient, shear_stability
+from quasiform.net.edges import disc, edge_points
+from quasiform.result.measures import percentile, shear_gradient, shear_stability
 from quasiform.unknowns import Unknowns
 
 OUTWARD = {"+x": (1.0, 0.0), "-x": (-1.0, 0.0), "+y": (0.0, 1.0), "-y": (0.0, -1.0)}
