@@ -518,7 +518,7 @@ HELD = {
 def pulled(tension, stiffness, orientation=0.0):
     file = changed(
         tools=HELD,
-        outline=outline.rectangle(160.0, 80.0),
+        blank=Region("rectangle", (160.0, 80.0)),
         supports=[Support(Where(side="-x"), "xy")],
         grippers=[Gripper(Where(side="+x"), (1.0, 0.0), tension, stiffness)],
     )
@@ -568,15 +568,10 @@ def test_a_gripper_with_a_stiffness_yields():
 
 def test_a_pull_needs_no_holder():
     """The sheet is held in the plane z = 0 by supports and nothing rests on it."""
+    punch, die, _ = scene_file.load("hemisphere").tools
     tools = [
-        replace(
-            scene_file.load("hemisphere").tools[0],
-            geometry=Form("ball", (5.0,)),
-            place=(0.0, 300.0),
-        ),
-        replace(
-            scene_file.load("hemisphere").tools[1], geometry=Form("plane"), friction=0.0, z=-50.0
-        ),
+        replace(punch, geometry=Form("ball", (5.0,)), place=(0.0, 300.0)),
+        replace(die, geometry=Form("plane"), friction=0.0, z=-50.0),
     ]
     file = replace(
         changed(blank=Region("rectangle", (160.0, 80.0))),

@@ -5,7 +5,7 @@ and shells (S3, bending) on the same nodes; tools are rigid triangles (R3D3) wit
 contact is a penalty with the fabric's compaction stiffness and Coulomb friction. The holder comes
 to rest in a first step, the punch travels in a second one by a smooth step.
 
-The order of the constants of the user material is written into the deck (`CONSTANTS`).
+The order of the constants of the user material stands in the deck (`templates/deck.inp`).
 """
 
 from __future__ import annotations
@@ -40,21 +40,7 @@ NOT_RUN = (
     "the deck is not run: its syntax is checked only; mass scaling and the time are yours "
     "to choose, watch the kinetic energy"
 )
-CARRIED = (Membrane, Bending, Contact, Friction, SheetWeight, ToolWeight)
-CONSTANTS = (
-    "Constants of the user material FABRIC (a VUMAT of your own), MPa. With the deformation "
-    "gradient F, the flat fibres a0 (local 1), b0 (local 2): I4 = a0.C.a0, I6 = a0.C.b0, "
-    "I8 = b0.C.b0, W = W4(I4) + W6(I6) + W8(I8) per flat volume.",
-    "S = 2 W4' a0xa0 + W6' (a0xb0 + b0xa0) + 2 W8' b0xb0 (second Piola-Kirchhoff).",
-    "W' = sgn(I - I0) [C_ini min(x, I_t) + (C_mid y + dS_mid)(1 - exp(-c y)) + C_lo z z] with "
-    "x = |I - I0|, I_t = S_ini/C_ini, c = C_ini/dS_mid, y = max(x - I_t, 0), z = max(x - I_lo, 0); "
-    "I0 = 1 for I4 and I8, 0 for I6. S_ini = 0 stands for the linear law W' = C_ini (I - I0).",
-    " 1- 6  C_ini, S_ini, C_mid, dS_mid, C_lo, I_lo of the warp, W4",
-    " 7-12  the same of the weft, W8",
-    "13     points of the table of the shear law, 0 for none",
-    "14-19  without a table: the six constants of the shear law, W6",
-    "14-    with one: I6, W6' of each of its points",
-)
+KNOWN = (Membrane, Bending, Contact, Friction, SheetWeight, ToolWeight)
 
 
 def abaqus_deck(
@@ -117,11 +103,11 @@ def abaqus_deck(
     time = max(float(np.abs(_of_nodes(model, travel)).max()), driven, 1.0) / speed
     settling = [("the holder comes to rest", SETTLE)] * any(rigid.free for rigid in tools)
     for term in model.terms:
-        if not isinstance(term, CARRIED):
-            notices.append(f"not carried: {getattr(term, 'name', type(term).__name__)}")
+        if not isinstance(term, KNOWN):
+            notices.append(f"not in the deck: {getattr(term, 'name', type(term).__name__)}")
     notices.insert(0, NOT_RUN)
-    words = [f"Fabric {model.sheet.fabric.name}. Units N, mm, s, t, MPa.", *notices, *CONSTANTS]
-    words += [f"{entry}: {why}" for entry, why in model.model]
+    words = [f"Fabric {model.sheet.fabric.name}. Units N, mm, s, t, MPa.", *notices]
+    words += [f"{entry}: {why}" for entry, why in model.description]
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         fill(
@@ -142,7 +128,7 @@ def abaqus_deck(
 
 
 def constants(fabric: Fabric) -> list[float]:
-    """Constants of the user material, in the order of `CONSTANTS`."""
+    """Constants of the user material, in the order written in the deck."""
 
     def six(law: ThreeStageLaw) -> list[float]:
         if law.linear:
@@ -178,7 +164,7 @@ def _material(model: Model, bends: bool, notices: list[str]) -> dict[str, Any]:
         ]
     if bends and fabric.in_plane_bending and model.sheet.dim == 3:
         notices.append(
-            f"not carried: in-plane bending of the fibres ({fabric.in_plane_bending:g} of the "
+            f"not in the deck: in-plane bending of the fibres ({fabric.in_plane_bending:g} of the "
             "bending stiffness), which shells of this kind do not have"
         )
     return {
@@ -301,7 +287,7 @@ def _of_nodes(model: Model, values: np.ndarray) -> np.ndarray:
 def _supports(
     model: Model, travel: FloatArray, bends: bool, notices: list[str]
 ) -> list[tuple[str, np.ndarray, str]]:
-    """Sets of nodes that symmetry or the model holds: name, nodes, what is held."""
+    """Sets of nodes that symmetry or the model holds: name, nodes, what is fixed."""
     blank, found = model.sheet.blank, []
     nodes = 1 + np.arange(len(blank.nodes))
     fixed = _of_nodes(model, model.fixed).copy()
@@ -322,7 +308,7 @@ def _supports(
         if held.any():
             found.append((f"HELD_{axis}", nodes[held], f"{axis}, {axis}"))
     if bends and fixed.any():
-        notices.append("supports hold places only: a clamp's rotations are not carried")
+        notices.append("supports hold places only: a clamp's rotations are not in the deck")
     return found
 
 

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, replace
 from numbers import Real
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import shapely
@@ -29,7 +30,7 @@ from ..net import free_mesh
 from ..net.blank import Blank, cut, rotation
 from ..net.edges import edge_points
 from ..net.free_mesh import PAIRED
-from ..recipe import built
+from ..recipe import built, plain, reference
 from ..tools import tool_file
 from ..tools.shapes import Tool, turned
 from ..unknowns import Unknowns
@@ -169,6 +170,12 @@ def formed_between_tools(
     _assemble(model, file, [_in_frame(tool, frame, blank) for tool in tools], outline)
     _measure(model)
     return model
+
+
+@plain.register
+def _(file: SceneFile) -> dict[str, Any]:
+    content = {"toml": scene_file.scene_toml(file), "source": file.source}
+    return {"read": reference(scene_file.read_text), "from": content}
 
 
 # The parts
