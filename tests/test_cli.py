@@ -749,7 +749,7 @@ def test_export_hands_over_what_a_run_left(here, capsys, undrawn):
     [
         (["run"], "one of the arguments --to --trim --deck is required"),
         (["run", "--to", "calculx"], "did you mean 'calculix'?"),
-        (["run", "--to", "csv"], "run: no such folder of a result"),
+        (["run", "--to", "csv"], "run: no such folder"),
         (["run", "--to", "csv", "--reference", "0,0,0"], "expected X,Y,Z of a direction"),
         (["hemispere", "--deck"], "did you mean 'hemisphere'?"),
     ],
