@@ -13,7 +13,7 @@ import quasiform as qf
 from quasiform.console import cli, doctor, forecast
 from quasiform.console.cli import main
 from quasiform.console.progress import _words
-from quasiform.result.run import package_version
+from quasiform.result.summary import package_version
 from quasiform.scenes import scene_file
 from quasiform.solve import linear
 from quasiform.solve.linear import SuperLU

@@ -18,12 +18,13 @@ FLOW = """
     energy
     result.measures result.files
     model
-    result
+    result.run
     solve
     scenes
-    draw
+    draw.plot
     comparison identification
-    handover
+    result.saved
+    draw handover
     console
     __main__
 """

@@ -78,8 +78,8 @@ def rigid(result, name="blank holder"):
 
 def assert_same(part, whole):
     """Check a part of a sheet, unfolded, against the whole of it."""
-    assert part.certified is True
-    assert whole.certified is True
+    assert part.certified
+    assert whole.certified
     assert abs(p99(part) - p99(whole)) < 1e-4
     assert part.force == pytest.approx(whole.force, rel=1e-6)
     assert part.draw_in == pytest.approx(whole.draw_in, rel=1e-5, abs=1e-8)
@@ -448,7 +448,7 @@ def test_without_friction_nothing_holds_the_sheet_but_its_middle():
         assert "friction left out: its coefficient is zero" in words_of(result.scene)
         assert "middle of the sheet held in the plane" in words_of(result.scene)
         assert result.scene.frictions == []
-        assert result.certified is True
+        assert result.certified
     assert_same(half, whole)
     assert "middle of the sheet" not in words_of(qf.forming(law=SLIPPERY, size=30))
     assert 0 < whole.force < tilting().force
@@ -468,7 +468,7 @@ def test_gravity_acts_on_the_modelled_part():
     (weight,) = (term for term in result.scene.terms if isinstance(term, SheetWeight))
     total = 1e-6 * GRAVITY * 600.0 * 310.0**2
     assert weight.force.sum() == pytest.approx(0.25 * total)
-    assert result.certified is True
+    assert result.certified
     assert "weight of the sheet left out" not in words_of(result.scene)
     without = formed(travel=3.0)
     assert f"weight of the sheet left out: {total:.2g} N beside the 49" in words_of(without.scene)

@@ -22,7 +22,7 @@ def test_capstan(friction):
 
 def test_strip_between_plates_slips_at_coulombs_limit():
     result = qf.solve(strip(5.0, 0.157, pull=2.0))
-    assert result.certified is True
+    assert result.certified
     assert result.force == pytest.approx(theory.strip_friction(0.157, 5.0), rel=0.01)
     assert result.energy_balance < 0.01
 

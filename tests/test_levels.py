@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import quasiform as qf
-from quasiform.result.measures import discretisation_error
+from quasiform.result.estimate import discretisation_error
 from quasiform.solve import levels
 from quasiform.solve.levels import transferred
 
@@ -22,7 +22,7 @@ def full():
 
 def test_the_end_is_that_of_the_full_path(refined, full):
     assert refined.status == full.status == "completed"
-    assert refined.certified is True
+    assert refined.certified
     assert refined.scene.size == full.scene.size == 5
     assert refined.force == pytest.approx(full.force, rel=5e-3)
     estimate = refined.estimate
@@ -137,7 +137,7 @@ def test_where_the_end_is_not_found_the_path_is_followed(monkeypatch):
     monkeypatch.setattr(levels.Run, "settle", settle)
     result = qf.refine(qf.forming("hemisphere", size=5, travel=10))
     assert result.rescues["path followed on the finer mesh"] == 1
-    assert result.certified is True
+    assert result.certified
     assert result.path is None
     assert result.force == pytest.approx(fresh.force, rel=1e-9)
     assert result.linear_solves > fresh.linear_solves

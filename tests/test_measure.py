@@ -10,7 +10,8 @@ from quasiform.energy.membrane import Membrane
 from quasiform.fabric import Fabric
 from quasiform.net import outline
 from quasiform.net.blank import cut, rectangle, rotation
-from quasiform.result.measures import disc, edge_points, percentile, shear_gradient, shear_stability
+from quasiform.net.edges import disc, edge_points
+from quasiform.result.measures import percentile, shear_gradient, shear_stability
 
 OUTWARD = {"+x": (1.0, 0.0), "-x": (-1.0, 0.0), "+y": (0.0, 1.0), "-y": (0.0, -1.0)}
 L_SHAPE = outline.polygon([(-60, -40), (60, -40), (60, -10), (5, -10), (5, 40), (-60, 40)])

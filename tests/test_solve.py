@@ -14,14 +14,14 @@ from quasiform.solve.newton import Equilibrium
 def test_lines_that_just_miss_a_corner_of_the_net_make_no_sliver(angle):
     result = qf.solve(qf.off_axis_tension(angle, displacement=10, size=20), estimate=False)
     straight = qf.solve(qf.off_axis_tension(45, displacement=10, size=20), estimate=False)
-    assert result.certified is True
+    assert result.certified
     assert result.force == pytest.approx(straight.force, rel=5e-3)
 
 
 @pytest.mark.parametrize("orientation", [0.01, 44.9, -30.0, 90.0])
 def test_forming_runs_at_any_orientation(orientation):
     result = qf.solve(qf.forming(orientation=orientation, size=20, travel=5), estimate=False)
-    assert result.certified is True
+    assert result.certified
 
 
 def test_stored_energy_is_an_upper_bounds_lower_neighbour():
@@ -55,7 +55,7 @@ def test_collapse_is_flagged_and_passed():
     result = qf.solve(qf.off_axis_tension(30, "best-fit", displacement=26, size=20), estimate=False)
     assert result.status == "completed"
     assert 20 < result.collapse["travel_mm"] < 26
-    assert "collapsed" in result.certified
+    assert "collapsed" in str(result.certified)
     assert all(np.isfinite(values).all() for values in result.cell_fields().values())
 
 
@@ -182,4 +182,4 @@ def test_a_motion_without_stiffness_stops_with_the_reason():
     result = qf.solve(scene, estimate=False)
     assert result.status == "stopped"
     assert result.reason.startswith("at 0 of 5: ")
-    assert result.certified is not True
+    assert not result.certified

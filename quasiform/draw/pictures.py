@@ -2,7 +2,7 @@
 
 The scale ends at the first round angle that neither a triangle nor the locking angle of a fabric
 passes, so that pictures of one fabric share it, and the locking angle is marked on it and on the
-sheet. Lines told apart by colour (Okabe and Ito's, safe for colour-blind readers, and of different
+sheet. Lines of different colour (Okabe and Ito's, safe for colour-blind readers, and of different
 lightness) also differ in their strokes, for print without colours.
 """
 
@@ -19,10 +19,9 @@ import numpy as np
 import shapely
 
 from ..checks import InputError, suggestion
-from ..energy.contact import Contact
 from ..net.blank import rotation
 from ..result.measures import percentile
-from ..result.record import Record, scene_of
+from ..result.record import Record
 from ..scenes.forming import forming
 from . import plot
 
@@ -129,23 +128,22 @@ def _row(run: Record) -> dict[str, str]:
         "shear_angle_p99_deg": (percentile(gamma, area, 0.99), ".2f"),
         "shear_angle_mean_deg": (area @ gamma / area.sum(), ".2f"),
     }
-    row = {"case": run.case, "fabric": str(run.fabric.get("name", "unknown"))}
     if run.at_end:
         draw_in = list((summary.get("draw_in_mm") or {}).values())
-        error = summary["error_estimate"].get("shear_angle_deg")
-        numbers["shear_angle_error_deg"] = error, ".2g"
+        numbers["shear_angle_error_deg"] = summary["error_estimate"].get("shear_angle_deg"), ".2g"
         numbers["draw_in_mm"] = np.mean(draw_in) if draw_in else None, ".2f"
-    row |= {name: _number(*number) for name, number in numbers.items()}
-    if run.at_end:
-        row["certified"] = "yes" if run.certified else "no"
-    row["linear_solves"] = _number(summary.get("linear_solves"), "g")
-    row["wall_s"] = _number(summary.get("wall_s"), ".1f")
-    return row
+        numbers["certified"] = "yes" if run.certified else "no", "s"
+    numbers["linear_solves"] = summary.get("linear_solves"), "g"
+    numbers["wall_s"] = summary.get("wall_s"), ".1f"
+    return {"case": run.case, "fabric": str(run.fabric.get("name", "unknown"))} | {
+        name: format(value, form) if _known(value) else "-"
+        for name, (value, form) in numbers.items()
+    }
 
 
-def _number(value: Any, form: str) -> str:
-    known = isinstance(value, int | float) and np.isfinite(value)
-    return format(value, form) if known else "-"
+def _known(value: Any) -> bool:
+    """Whether a cell of the table has something to show."""
+    return isinstance(value, str) or (isinstance(value, int | float) and np.isfinite(value))
 
 
 def _labels(runs: Sequence[Record]) -> list[str]:
@@ -166,14 +164,8 @@ def scale_end(runs: Sequence[Record]) -> float:
 def _grid(count: int, *frames: FloatArray, below: float = 0.8) -> tuple[Figure, np.ndarray]:
     """A figure of the text width with axes for each of the frames, one above the other, by run.
 
-    Parameters
-    ----------
-    count : int
-        Runs.
-    *frames : (n, 2 or more) arrays
-        Points that all runs' axes of a kind have to hold, to the right and up.
-    below : float
-        Room for what goes below them all, inches.
+    Frames (n, 2 or more) are points that all runs' axes of a kind hold; below them all there is
+    room, inches.
     """
     columns = min(count, ABREAST)
     blocks = -(-count // columns)
@@ -257,16 +249,9 @@ def _draw_scale(
             continue
         bar.axvline(angle, color="black", linewidth=2.4)
         bar.axvline(angle, color="white", linewidth=1.0)
-        bar.annotate(
-            f"locking {angle:.0f}°",
-            (angle / end, 1.0),
-            (0, 3),
-            xycoords="axes fraction",
-            textcoords="offset points",
-            ha="center",
-            va="bottom",
-            fontsize=7,
-        )
+        above = {"xycoords": "axes fraction", "textcoords": "offset points", "va": "bottom"}
+        words = f"locking {angle:.0f}°"
+        bar.annotate(words, (angle / end, 1.0), (0, 3), **plot.MIDDLE | above)
 
 
 def level_lines(
@@ -446,22 +431,15 @@ def _animate(runs: Sequence[Record], labels: Sequence[str], end: float, path: Pa
 def tool_cuts(run: Record) -> tuple[dict[str, tuple[FloatArray, ...]], str]:
     """Cut the tools of a forming run at the height of the sheet's plane, or below it for a die.
 
-    The scene is built again from its name or file, which must be where it was.
-
-    Returns
-    -------
-    cuts : dict of name to (x (n,), y (n,), distance (n, n))
-        Signed distance from each tool on a grid in the user's axes, mm: zero on its surface.
-    why_not : str
-        Why they are not known; empty if they are, or if there are none.
+    The scene is built again from its name or file. Cuts are x (n,), y (n,) and the signed distance
+    from the tool (n, n), in the user's axes, mm; the text says why they are not known.
     """
     if not run.has_tools:
         return {}, ""
     given = run.parameters
     try:
         turn = {"turn": given["turn"]} if given.get("turn") else {}
-        name = scene_of(given, run.folder) if run.folder else str(given["scene"])
-        scene = forming(name, given["orientation"], size=given["size"], **turn)
+        scene = forming(run.scene, given["orientation"], size=given["size"], **turn)
     except (InputError, KeyError, TypeError) as error:
         return {}, f"its scene was not found or has changed: {' '.join(str(error).split())}"
     low, high = run.sheet.flat.min(0), run.sheet.flat.max(0)
@@ -469,24 +447,17 @@ def tool_cuts(run: Record) -> tuple[dict[str, tuple[FloatArray, ...]], str]:
     plan = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2) @ rotation(scene.turn)
     cuts = {}
     for contact in scene.contacts:
-        words, z, moved = _cut_height(contact, run.travel)
         tool = contact.tool
+        if tool.motion == "free":  # a holder lies over the sheet, as the die under it
+            continue
+        driven = tool.motion == "driven"
+        z, moved = (0.0, run.travel) if driven else (-0.5 * run.travel, 0.0)
         points = np.column_stack([plan, np.full(len(plan), z)])
         d = tool.shape.distance(points - [*tool.place, tool.height - moved])[0]
-        if words and d.min() < 0 < d.max():
-            cuts[words] = x, y, d.reshape(CUT, CUT)
+        if d.min() < 0 < d.max():
+            where = f"z = {z:.3g} mm" if z else "z = 0"
+            cuts[f"{tool.name}, cut at {where}"] = x, y, d.reshape(CUT, CUT)
     return cuts, ""
-
-
-def _cut_height(contact: Contact, travel: float) -> tuple[str, float, float]:
-    """What is cut ("" for nothing), at which z, and how far the tool has moved down."""
-    tool = contact.tool
-    if tool.motion == "driven":
-        return f"{tool.name}, cut at z = 0", 0.0, travel
-    if tool.motion == "fixed":
-        z = -0.5 * travel
-        return f"{tool.name}, cut at z = {z:.3g} mm", z, 0.0
-    return "", 0.0, 0.0  # a holder lies over the sheet, as the die under it
 
 
 PICTURES: dict[str, Callable[[Sequence[Record], Sequence[str], float, list[str]], Figure]] = {

@@ -19,7 +19,8 @@ import numpy as np
 import shapely
 
 from ..net.blank import Blank
-from ..result.measures import SLIP_GRADIENT, edge_points, percentile
+from ..net.edges import edge_points
+from ..result.measures import SLIP_GRADIENT, percentile
 from ..result.record import Record
 from ..result.sheet import FormedSheet
 
@@ -61,6 +62,8 @@ CURVE = {"markersize": 2, "color": FIRST, "clip_on": False}
 THEORY = {"linestyle": "--", "color": "0.4", "linewidth": 0.9}
 DASHED = {"color": "0.3", "linewidth": 0.8, "linestyle": (0, (4, 3))}
 ARROW = {"arrowstyle": "-|>,head_width=0.12,head_length=0.25", "linewidth": 0.8, "color": "black"}
+ARROW |= {"shrinkA": 0, "shrinkB": 0}
+MIDDLE = {"ha": "center", "va": "center", "fontsize": 7}
 SCALES = (10, 20, 30, 45, 60, 75, 90)  # ends of the colour scale, degrees
 AZIMUTH, ELEVATION = np.radians(-62.0), np.radians(36.0)
 TRUSTED = "#f2f2f2"
@@ -131,10 +134,10 @@ def doubt_figure(run: Record) -> Figure:
     axes, key = figure.subplots(1, 2, width_ratios=[1.35, 1])
     sheet, areas = run.sheet, run.sheet.flat_areas
     faces = np.tile(to_rgba(TRUSTED), (len(sheet.triangles), 1))
-    limits, handles = sheet.limits(), []
+    doubts, handles = sheet.doubts(), []
     for reason, (colour, words) in DOUBTS.items():
-        faces[limits[reason]] = to_rgba(colour)
-        share = 100 * areas @ limits[reason] / areas.sum()
+        faces[doubts[reason]] = to_rgba(colour)
+        share = 100 * areas @ doubts[reason] / areas.sum()
         label = words.format(range=run.fabric.get("shear_range", np.nan), slip=SLIP_GRADIENT)
         handles.append(Patch(facecolor=colour, label=f"{label}: {share:.1f} %"))
     paint(axes, sheet, sheet.points, faces)
@@ -200,8 +203,9 @@ def verdict(run: Record) -> str:
     """Whether a run converged and is certified, and the worst news."""
     if run.certified:
         return "; ".join(["converged and certified", *run.summary["trust"][:1]])
-    converged = run.at_end and run.summary["certificate"]["converged"]
-    head = "converged, but not certified" if converged else "not certified"
+    converged = run.summary["certificate"]["converged"]
+    head = "converged, but not certified" if converged else "not converged"
+    head = head if run.at_end else "not certified"
     return f"{head}: {'; '.join(run.reasons)}"
 
 
@@ -216,7 +220,7 @@ def _words(run: Record) -> tuple[str, str, str]:
 
 def collapsed(sheet: FormedSheet) -> np.ndarray:
     """(n_triangles,) bool array: sheared past 85 degrees, or turned over in the plane."""
-    found = sheet.limits()["collapsed"].copy()
+    found = sheet.doubts()["collapsed"].copy()
     if np.ptp(sheet.points[:, 2]) == 0:
         found |= np.linalg.det(sheet.F[:, :2]) <= 0
     return found
@@ -299,30 +303,19 @@ def paint(
     shaded: bool = False,
     fibres: bool = True,
 ) -> None:
-    """Draw triangles from far to near, the fibre lines that are seen, and the outline.
+    """Draw triangles from far to near with their colours (m, 4), the fibre lines and the outline.
 
-    Parameters
-    ----------
-    axes : Axes
-    sheet : FormedSheet
-    P : (n_nodes, 3) array
-        Nodes in the view: to the right, up, towards the viewer, mm.
-    faces : (n_triangles, 4) array
-        Colours.
-    shaded : bool
-        Shade the triangles by their normals.
-    fibres : bool
-        Draw fibre lines of the mesh and the outline.
+    P (n, 3) are the nodes in the view: to the right, up, towards the viewer, mm.
     """
     from matplotlib.collections import PolyCollection
     from matplotlib.colors import to_rgba
 
-    gone, triangles = collapsed(sheet), sheet.triangles
+    failed, triangles = collapsed(sheet), sheet.triangles
     faces = faces.copy()
     if shaded:
         faces[:, :3] *= _shade(triangles, P)[:, None]
     depth = P[triangles, 2].mean(1)
-    depth[gone] += 2.0 * np.sqrt(2.0 * sheet.flat_areas.max())  # slivers, which shall be seen
+    depth[failed] += 2.0 * np.sqrt(2.0 * sheet.flat_areas.max())  # slivers, which shall be seen
     order = np.argsort(depth, kind="stable")
     faces = np.clip(faces, 0.0, 1.0)[order]
     axes.add_collection(
@@ -330,7 +323,7 @@ def paint(
             P[triangles[order], :2],
             facecolors=faces,
             edgecolors=faces,
-            linewidths=np.where(gone, 1.5, 0.3)[order],
+            linewidths=np.where(failed, 1.5, 0.3)[order],
             joinstyle="round",
         )
     )
@@ -358,33 +351,18 @@ def draw_lines(
     colour: object,
     width: float,
 ) -> None:
-    """Draw segments (n, 2, 3) that lie on the sheet, joined, where no triangle hides them.
+    """Draw segments (k, 2, 3) that lie on the sheet, joined, where no triangle hides them.
 
-    Parameters
-    ----------
-    axes : Axes
-    P : (n_nodes, 3) array
-        Nodes in the view: to the right, up, towards the viewer, mm.
-    triangles : (n_triangles, 3) int array
-    segments : (n, 2, 3) array
-        In the view.
-    colour : colour of matplotlib
-    width : float
-        Points.
+    Segments and nodes P (n, 3) are those in the view; the width is in points.
     """
     from matplotlib.collections import LineCollection
 
     shown = segments[~hidden(P, triangles, segments.mean(1)), :, :2]
-    lines = _joined(np.round(shown, 6))
+    pieces = shapely.multilinestrings(shapely.linestrings(np.round(shown, 6)))
+    lines = [shapely.get_coordinates(p) for p in shapely.get_parts(shapely.line_merge(pieces))]
     axes.add_collection(
         LineCollection(lines, colors=[colour], linewidths=width, joinstyle="round", capstyle="butt")
     )
-
-
-def _joined(segments: FloatArray) -> list[FloatArray]:
-    """Join segments (n, 2, 2) to lines, each (m, 2)."""
-    pieces = shapely.multilinestrings(shapely.linestrings(segments))
-    return [shapely.get_coordinates(line) for line in shapely.get_parts(shapely.line_merge(pieces))]
 
 
 def hidden(P: FloatArray, triangles: np.ndarray, points: FloatArray) -> np.ndarray:
@@ -470,7 +448,8 @@ def _draw_from_above(axes: Axes, run: Record, colours: ScalarMappable) -> list[L
 
 def draw_grips(axes: Axes, sheet: FormedSheet, gripped: np.ndarray) -> list[FloatArray]:
     """Hatch a band along the gripped parts of the outline; return the bands' outlines."""
-    ends = np.vstack([np.empty((0, 2, 2)), *([] if not gripped.any() else [_held(sheet, gripped)])])
+    segments = rim(sheet)
+    ends = sheet.points[segments[gripped[segments].all(1)], :2]
     outward = (ends[:, 1] - ends[:, 0])[:, ::-1] * [1.0, -1.0]  # the sheet is on the left
     outward *= 0.04 * extent(sheet) / np.linalg.norm(outward, axis=1)[:, None]
     strips = np.stack([ends[:, 0], ends[:, 1], ends[:, 1] + outward, ends[:, 0] + outward], axis=1)
@@ -479,12 +458,6 @@ def draw_grips(axes: Axes, sheet: FormedSheet, gripped: np.ndarray) -> list[Floa
     for outline in outlines:
         axes.fill(*outline.T, facecolor="0.93", edgecolor="0.35", hatch="//////", linewidth=0.6)
     return outlines
-
-
-def _held(sheet: FormedSheet, gripped: np.ndarray) -> FloatArray:
-    """(n, 2, 2) segments of the formed outline between gripped nodes, seen along z."""
-    segments = rim(sheet)
-    return sheet.points[segments[gripped[segments].all(1)], :2]
 
 
 def draw_draw_in_arrows(axes: Axes, run: Record) -> None:
@@ -498,15 +471,10 @@ def draw_draw_in_arrows(axes: Axes, run: Record) -> None:
     away = 0.055 * extent(run.sheet)
     for flat, inward, draw_in, word in arrows:
         tilt = np.degrees(np.arctan2(inward[0], -inward[1]))
-        _draw_arrow(axes, flat, flat + draw_in * inward)
-        axes.text(
-            *(flat - away * inward),
-            f"{word}{round(draw_in, 1) + 0.0:.1f}",
-            ha="center",
-            va="center",
-            rotation=90.0 - (90.0 - tilt) % 180.0,
-            fontsize=7,
-        )
+        axes.annotate("", flat + draw_in * inward, flat, arrowprops=ARROW)
+        words = f"{word}{round(draw_in, 1) + 0.0:.1f}"
+        turn = 90.0 - (90.0 - tilt) % 180.0
+        axes.text(*(flat - away * inward), words, rotation=turn, **MIDDLE)
 
 
 def _edges(run: Record, sheet: FormedSheet) -> list[Any]:
@@ -531,7 +499,7 @@ def largest_draw_in(sheet: FormedSheet) -> list[tuple[FloatArray, FloatArray, fl
 
 
 def _draw_areas(axes: Axes, run: Record) -> list[Line2D]:
-    """Rings around the named areas where the sheet has carried them, with their mean angle."""
+    """Rings around the named areas on the formed sheet, with their mean angle."""
     from matplotlib.colors import is_color_like
     from matplotlib.patheffects import Normal, Stroke
 
@@ -542,19 +510,14 @@ def _draw_areas(axes: Axes, run: Record) -> list[Line2D]:
     rings = []
     for name, mean in (run.summary.get("areas") or {}).items():
         centre, radius = run.areas[name]
-        ring = carried(run.sheet, centre + radius * circle)
+        ring = formed_places(run.sheet, centre + radius * circle)
         colour = name if is_color_like(name) else "black"
-        rings += axes.plot(
-            *ring.T,
-            color=colour,
-            linewidth=1.2,
-            path_effects=rims,
-            label=plain(f"{name} –" if mean is None else f"{name} {mean:.1f}°"),
-        )
+        label = plain(f"{name} –" if mean is None else f"{name} {mean:.1f}°")
+        rings += axes.plot(*ring.T, color=colour, linewidth=1.2, path_effects=rims, label=label)
     return rings
 
 
-def carried(sheet: FormedSheet, points: FloatArray) -> FloatArray:
+def formed_places(sheet: FormedSheet, points: FloatArray) -> FloatArray:
     """Formed places (n, 2), seen along z, of those flat points that lie on the sheet."""
     tree = shapely.STRtree(shapely.polygons(sheet.flat[sheet.triangles]))
     at, triangle = tree.query(shapely.points(points), predicate="intersects")
@@ -573,9 +536,8 @@ def frame(axes: Axes, points: FloatArray) -> None:
     bar = max(step * power for step in (1, 2, 5) if step * power <= extent / 3)
     y = low[1] - 0.05 * extent
     axes.plot([high[0] - bar, high[0]], [y, y], color="black", linewidth=1.5, solid_capstyle="butt")
-    axes.text(
-        high[0] - bar / 2, y - 0.015 * extent, f"{bar:g} mm", ha="center", va="top", fontsize=7
-    )
+    below = high[0] - bar / 2, y - 0.015 * extent
+    axes.text(*below, f"{bar:g} mm", **MIDDLE | {"va": "top"})
     axes.set_xlim(low[0] - 0.03 * extent, high[0] + 0.03 * extent)
     axes.set_ylim(y - 0.06 * extent, high[1] + 0.03 * extent)
     axes.set_aspect("equal")
@@ -590,12 +552,8 @@ def draw_triad(axes: Axes, view: FloatArray, P: FloatArray) -> None:
     for name, direction in zip("xyz", view.T[:, :2], strict=True):
         if np.linalg.norm(direction) < 0.1:
             continue
-        _draw_arrow(axes, origin, origin + arm * direction)
-        axes.text(*(origin + 1.3 * arm * direction), name, ha="center", va="center", fontsize=7)
-
-
-def _draw_arrow(axes: Axes, start: FloatArray, end: FloatArray) -> None:
-    axes.annotate("", end, start, arrowprops=ARROW | {"shrinkA": 0, "shrinkB": 0})
+        axes.annotate("", origin + arm * direction, origin, arrowprops=ARROW)
+        axes.text(*(origin + 1.3 * arm * direction), name, **MIDDLE)
 
 
 def draw_force(
@@ -696,16 +654,11 @@ def _finish_panel(axes: Axes, run: Record, travel: float, value: float, label: s
     if run.summary["reason"]:
         axes.plot(travel, value, "X", color=STOP, markersize=6, zorder=3)
     name, _, unit = _words(run)
-    axes.set_xlim(0.0, 1.02 * _goal(run))
+    axes.set_xlim(0.0, 1.02 * run.goal)
     axes.set_xlabel(f"{name} in mm" if unit == "N" else name)
     axes.set_ylabel(label)
     if axes.get_legend_handles_labels()[0]:
         axes.legend(loc="best")
-
-
-def _goal(run: Record) -> float:
-    """End of the travel axis: the goal, also where a run stopped before it."""
-    return max(run.travel, run.goal) or 1.0
 
 
 def off_axis_theory(run: Record) -> tuple[FloatArray, FloatArray, FloatArray] | None:
@@ -719,7 +672,7 @@ def off_axis_theory(run: Record) -> tuple[FloatArray, FloatArray, FloatArray] | 
         strip = OffAxisTension(length, width, np.radians(angle))
     except (TypeError, ValueError):  # a size is not known, or a fibre joins both grips
         return None
-    u = np.linspace(0.0, min(_goal(run), 0.999 * strip.displacement_limit), 200)
+    u = np.linspace(0.0, min(run.goal, 0.999 * strip.displacement_limit), 200)
     fabric = run.model.fabric
     force = strip.force(u, fabric.shear.stress, fabric.thickness)
     return u, np.degrees(strip.angles(u)[0]), force

@@ -8,7 +8,7 @@ loaded.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
 FloatArray = np.ndarray
+PAGE = Path(__file__).with_suffix(".html")
 
 HOVER = (
     "<b>γ = %{customdata[0]:.1f}°</b><br>"
@@ -38,25 +39,6 @@ LIGHT = {
     "fresnel": 0.0,
     "facenormalsepsilon": 0.0,  # else plotly takes slim triangles for degenerate: black
 }
-PAGE = """<!DOCTYPE html>
-<html lang="en"><head><meta charset="utf-8"><title>{{ title }}</title>
-<style>
-html, body { height: 100%; margin: 0; font: 15px/1.4 system-ui, sans-serif; color: #1a1a1a }
-body { display: flex; flex-direction: column }
-p { margin: .6rem 1rem }
-#sheet { flex: 1; min-height: 20rem }
-</style></head><body>
-<p>{{ words }}</p>
-<div id="sheet"></div>
-<p>Drag to turn, scroll to zoom, point at a triangle for its shear angle.</p>
-<script>{{ script|safe }}</script>
-<script>
-const figure = {{ figure|safe }};
-const config = {displaylogo: false, responsive: true, showSendToCloud: false};
-Plotly.newPlot("sheet", figure.data, figure.layout, config);
-</script>
-</body></html>
-"""
 
 
 def available() -> bool:
@@ -107,42 +89,49 @@ def figure(run: Record) -> Figure:
         lightposition=LIGHT_FROM,
         name="sheet",
     )
-    traces, gone = [mesh], sheet.limits()["collapsed"]
-    if gone.any():
+    traces, failed = [mesh], sheet.doubts()["collapsed"]
+    if failed.any():
         look = {"color": plot.COLLAPSED, "hoverinfo": "skip", "showlegend": True}
-        corners = _corners(sheet.triangles[gone])
-        traces.append(go.Mesh3d(**_points(x), **corners, name="collapsed", **look))
+        faces = _corners(sheet.triangles[failed])
+        traces.append(go.Mesh3d(**_points(x), **faces, name="collapsed", **look))
     extent = plot.extent(sheet)
     normals = plot.node_normals(sheet.triangles, x)
     normals /= np.maximum(np.linalg.norm(normals, axis=1), 1e-300)[:, None]
     off = ABOVE * extent * normals
     fibres = plot.fibre_lines(sheet.blank, max(sheet.blank.size, extent / 20))
-    traces.append(_lines(go, x, off, fibres, "rgba(0,0,0,0.55)", 1.5, "fibres"))
-    traces.append(_lines(go, x, 0.2 * off, sheet.loops, "#1a1a1a", 3, "outline"))
-    low, high = x.min(0), x.max(0)
-    half = 0.5 * (high - low) + 2 * ABOVE * extent
+    look = {"mode": "lines", "hoverinfo": "skip", "showlegend": False}
+    for name, lines, height, line in (
+        ("fibres", fibres, off, {"color": "rgba(0,0,0,0.55)", "width": 1.5}),
+        ("outline", sheet.loops, 0.2 * off, {"color": "#1a1a1a", "width": 3}),
+    ):
+        traces.append(go.Scatter3d(**_along(x, height, lines), name=name, line=line, **look))
+    return go.Figure(traces, _layout(run, 2 * ABOVE * extent, legend=bool(failed.any())))
+
+
+def _layout(run: Record, room: float, *, legend: bool) -> dict[str, Any]:
+    """Equal scales along all axes around the sheet with some room, mm, and no axes."""
+    low, high = run.sheet.points.min(0), run.sheet.points.max(0)
+    half = 0.5 * (high - low) + room
     ends = ((low + high) / 2 + half * [[-1.0], [1.0]]).T.tolist()
-    ratio = half / half.max()
-    return go.Figure(
-        traces,
-        {
-            "template": "none",
-            "margin": dict.fromkeys("lrbt", 0),
-            "showlegend": bool(gone.any()),
-            "legend": {"x": 0, "y": 0},
-            "hoverlabel": {"bgcolor": "white", "font": {"color": "#1a1a1a"}},
-            "scene": {
-                "aspectmode": "manual",
-                "aspectratio": dict(zip("xyz", (1.6 * ratio).tolist(), strict=True)),
-                "camera": _camera(run),
-                "dragmode": "orbit",
-                **{
-                    f"{axis}axis": {"visible": False, "range": between}
-                    for axis, between in zip("xyz", ends, strict=True)
-                },
-            },
+    ratio = dict(zip("xyz", (1.6 * half / half.max()).tolist(), strict=True))
+    axes = {
+        f"{axis}axis": {"visible": False, "range": between}
+        for axis, between in zip("xyz", ends, strict=True)
+    }
+    return {
+        "template": "none",
+        "margin": dict.fromkeys("lrbt", 0),
+        "showlegend": legend,
+        "legend": {"x": 0, "y": 0},
+        "hoverlabel": {"bgcolor": "white", "font": {"color": "#1a1a1a"}},
+        "scene": {
+            "aspectmode": "manual",
+            "aspectratio": ratio,
+            "camera": _camera(run),
+            "dragmode": "orbit",
+            **axes,
         },
-    )
+    }
 
 
 def words(run: Record) -> str:
@@ -168,7 +157,7 @@ def save(run: Record, path: str | Path) -> Path:
     from jinja2 import Environment
     from plotly.offline import get_plotlyjs
 
-    page = Environment(autoescape=True).from_string(PAGE)
+    page = Environment(autoescape=True).from_string(PAGE.read_text(encoding="utf-8"))
     text = page.render(
         title=run.case, words=words(run), script=get_plotlyjs(), figure=drawn.to_json()
     )
@@ -187,27 +176,11 @@ def _corners(triangles: np.ndarray) -> dict[str, np.ndarray]:
     return dict(zip("ijk", triangles.T.astype(np.int32), strict=True))
 
 
-def _lines(
-    go: Any,
-    x: FloatArray,
-    off: FloatArray,
-    lines: Iterable[np.ndarray],
-    colour: str,
-    width: float,
-    name: str,
-) -> Any:
-    """Lines of nodes as one trace with a gap after each: a copy on either face of the sheet."""
+def _along(x: FloatArray, off: FloatArray, lines: Sequence[np.ndarray]) -> dict[str, FloatArray]:
+    """Points of lines of nodes with a gap after each: a copy on either face of the sheet."""
     gap = np.full((1, 3), np.nan)
-    lines = list(lines)
     points = [p for side in (off, -off) for line in lines for p in (x[line] + side[line], gap)]
-    return go.Scatter3d(
-        **_points(np.vstack([gap, *points])),
-        mode="lines",
-        line={"color": colour, "width": width},
-        hoverinfo="skip",
-        showlegend=False,
-        name=name,
-    )
+    return _points(np.vstack([gap, *points]))
 
 
 def _colours() -> list[tuple[float, str]]:

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from ..energy import Term
 from ..energy.bending import Bending
-from ..energy.contact import Contact
+from ..energy.contact import LEVER, Contact
 from ..energy.membrane import Membrane
-from ..net.blank import Blank, rotation
+from ..net.blank import Blank
+from ..net.edges import EdgePoint, disc, edge_points
 from .sheet import FormedSheet
+
+__all__ = ["EdgePoint", "disc", "edge_points"]
 
 FloatArray = np.ndarray
 LIFTED = 0.1  # of the thickness: a flange that is lifted further has wrinkled
@@ -20,64 +23,6 @@ SLIP_GRADIENT = 2.4
 """Shear gradient at which rovings may slip, degrees/mm: in the 45° off-axis tension test the paper
 saw slippage from u = 30 mm on, where the shear jumps by 12° between zones; over a width of 5 mm
 (*inferred* from stated facts, the width *assumed*)."""
-
-
-@dataclass(frozen=True)
-class EdgePoint:
-    """A point of the blank's outline, between two nodes, and its inward direction."""
-
-    nodes: np.ndarray  # (2,)
-    shares: FloatArray  # (2,)
-    inward: FloatArray  # (2,)
-    flat: FloatArray  # (2,) mm
-
-    def draw_in(self, positions: FloatArray) -> float:
-        """Inward motion, mm, for positions (n_nodes, 2 or 3)."""
-        return float(self.inward @ (self.shares @ positions[self.nodes, :2] - self.flat))
-
-
-def edge_points(blank: Blank, turn: float = 0.0) -> dict[str, EdgePoint]:
-    """Outermost points of the outline from the blank's middle along "+x", "-x", "+y", "-y".
-
-    Parameters
-    ----------
-    blank : Blank
-        The whole sheet.
-    turn : float
-        Degrees by which the blank, and with it its x and y, is turned.
-    """
-    R = rotation(turn)
-    rim = blank.mesh.facets[:, blank.mesh.boundary_facets()].T
-    flat = blank.nodes @ R  # in the blank's own axes
-    middle = 0.5 * (flat.min(0) + flat.max(0))
-    start, step = flat[rim[:, 0]] - middle, np.diff(flat[rim], axis=1)[:, 0]
-    points = {}
-    for axis, name in enumerate("xy"):
-        for mark, sign in (("+", 1.0), ("-", -1.0)):
-            other = 1 - axis
-            with np.errstate(divide="ignore", invalid="ignore"):
-                s = -start[:, other] / step[:, other]
-            crosses = (s >= -1e-9) & (s <= 1 + 1e-9)
-            if not crosses.any():
-                continue
-            along = start[:, axis] + np.where(crosses, s, 0.0) * step[:, axis]
-            reach = np.where(crosses, sign * along, 0.0)
-            at = reach.argmax()
-            if reach[at] <= 0:
-                continue
-            share = float(np.clip(s[at], 0.0, 1.0))
-            outward = np.zeros(2)
-            outward[axis] = sign
-            shares = np.array([1.0 - share, share])
-            points[mark + name] = EdgePoint(
-                rim[at], shares, -R @ outward, shares @ blank.nodes[rim[at]]
-            )
-    return points
-
-
-def disc(blank: Blank, centre: tuple[float, float], radius: float) -> np.ndarray:
-    """(n_triangles,) bool array: triangles with their centroid in a disc of the flat blank."""
-    return np.linalg.norm(blank.centroids - centre, axis=1) <= radius
 
 
 def percentile(values: FloatArray, areas: FloatArray, share: float) -> float:
@@ -227,3 +172,42 @@ def chord_penetration(
         y = contact.in_tool_frame(x, middles - contact.origin(x))
         deepest = max(deepest, 0.5 * thickness - float(contact.distance(y)[0].min()))
     return deepest
+
+
+def resting_tools(
+    model: Any, x: FloatArray, start: FloatArray
+) -> dict[str, dict[str, float | list[float]]]:
+    """Lift (mm) and tilt (degrees) of each free tool, or the moment its guide takes (N mm).
+
+    Parameters
+    ----------
+    model : Scene
+    x, start : (n_dofs,) arrays
+        Positions and rigid degrees of freedom now and at the start, mm.
+    """
+    found: dict[str, dict[str, Any]] = {}
+    for contact in model.contacts:
+        tool, dofs = contact.tool, contact.tool_dofs
+        if tool.motion != "free":
+            continue
+        entry = found.setdefault(tool.name, {"lift_mm": float(x[dofs[0]] - start[dofs[0]])})
+        if tool.tilts:
+            entry["tilt_deg"] = np.degrees(model.to_user(x[dofs[1:]]) / LEVER).tolist()
+            continue
+        moment = contact.moment(x) / model.share
+        for axis, plane in enumerate("xy"):
+            if plane in model.blank.mirror:
+                moment[1 - axis] = 0.0
+        moment = model.to_user(moment) + entry.get("held_moment_Nmm", np.zeros(2))
+        entry["held_moment_Nmm"] = moment.tolist()
+    return found
+
+
+def interpolated(nodes: FloatArray, values: FloatArray, points: FloatArray) -> FloatArray:
+    """Values at (k, 2) points from those at (n, 2) nodes: linear, beyond them the nearest."""
+    from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
+
+    found = LinearNDInterpolator(nodes, values)(points)
+    outside = np.isnan(found)
+    found[outside] = NearestNDInterpolator(nodes, values)(points[outside])
+    return found

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from ..energy.contact import LEVER
 from ..model import COLLAPSE, Scene
 from ..net.blank import Blank
+from ..net.edges import disc
 from . import measures
 from .sheet import FormedSheet
 
@@ -106,12 +106,6 @@ class Outcome:
             columns["size_mm"] = [*[self.path.scene.size] * (len(rows) - 1), self.scene.size]
         return {name: np.array(values) for name, values in columns.items()}
 
-    @property
-    def gripped(self) -> np.ndarray:
-        """(n_nodes,) bool array: nodes of the whole sheet that are held in all directions."""
-        scene = self.scene
-        return scene.fixed[: scene.n_nodal].reshape(-1, scene.dim).all(1)[scene.whole[1]]
-
     def positions(self, state: int = -1) -> FloatArray:
         """(n_nodes, 3) positions of the whole sheet, mm."""
         return self.scene.whole_positions(self.states[state].x)
@@ -142,11 +136,6 @@ class Outcome:
     def sheet(self) -> FormedSheet:
         """Formed sheet at the end."""
         return self.sheet_at()
-
-    @property
-    def sheets(self) -> dict[str, FormedSheet]:
-        """Formed sheets at the end by name."""
-        return {sheet.name: sheet for sheet in (self.sheet,)}
 
     def cell_fields(self, state: int = -1) -> dict[str, FloatArray]:
         """Fields by triangle: shear_angle (degrees), warp, weft (unit vectors), E11, E22, S12."""
@@ -232,23 +221,7 @@ class Outcome:
 
     def resting_tools(self) -> dict[str, dict[str, float | list[float]]]:
         """Lift (mm) and tilt (degrees) of each free tool, or the moment its guide takes (N mm)."""
-        scene, x, found = self.scene, self.states[-1].x, {}
-        for contact in scene.contacts:
-            tool, dofs = contact.tool, contact.tool_dofs
-            if tool.motion != "free":
-                continue
-            lift = float(x[dofs[0]] - self.states[0].x[dofs[0]])
-            entry = found.setdefault(tool.name, {"lift_mm": lift})
-            if tool.tilts:
-                entry["tilt_deg"] = np.degrees(scene.to_user(x[dofs[1:]]) / LEVER).tolist()
-                continue
-            moment = contact.moment(x) / scene.share
-            for axis, plane in enumerate("xy"):
-                if plane in scene.blank.mirror:
-                    moment[1 - axis] = 0.0
-            moment = scene.to_user(moment) + entry.get("held_moment_Nmm", np.zeros(2))
-            entry["held_moment_Nmm"] = moment.tolist()
-        return found
+        return measures.resting_tools(self.scene, self.states[-1].x, self.states[0].x)
 
     @property
     def max_penetration(self) -> float:
@@ -273,7 +246,7 @@ class Outcome:
         """Mean |shear angle| of each named area at the end, degrees; None without a triangle."""
         means: dict[str, float | None] = {}
         for name, (centre, radius) in self.scene.areas.items():
-            inside = measures.disc(self.blank, centre, radius)
+            inside = disc(self.blank, centre, radius)
             weight, gamma = self.blank.areas[inside], np.abs(self.shear_angle[inside])
             means[name] = float(weight @ gamma / weight.sum()) if inside.any() else None
         return means
@@ -298,10 +271,4 @@ class Outcome:
 
     def shear_angle_at(self, points: FloatArray) -> FloatArray:
         """(n,) shear angle at (n, 2) points of the flat sheet, degrees; beyond it, the nearest."""
-        from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
-
-        values, nodes = self.nodal_shear_angle, self.blank.nodes
-        found = LinearNDInterpolator(nodes, values)(points)
-        outside = np.isnan(found)
-        found[outside] = NearestNDInterpolator(nodes, values)(points[outside])
-        return found
+        return measures.interpolated(self.blank.nodes, self.nodal_shear_angle, points)

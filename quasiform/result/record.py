@@ -14,7 +14,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -49,16 +49,10 @@ class Sheets(Sequence[FormedSheet]):
     def __len__(self) -> int:
         return len(self.travels)
 
-    @overload
-    def __getitem__(self, at: int) -> FormedSheet: ...
-    @overload
-    def __getitem__(self, at: slice) -> Sheets: ...
-    def __getitem__(self, at: int | slice) -> FormedSheet | Sheets:
+    def __getitem__(self, at: Any) -> Any:
         numbers = range(len(self))[at]
         if isinstance(numbers, range):
-            return Sheets(
-                [self.travels[k] for k in numbers], lambda k, numbers=numbers: self[numbers[k]]
-            )
+            return Sheets([self.travels[k] for k in numbers], lambda k: self[numbers[k]])
         if numbers not in self._known:
             last = {k: sheet for k, sheet in self._known.items() if k == len(self) - 1}
             self._known = {**last, numbers: self._load(numbers)}  # others would fill the memory
@@ -104,20 +98,11 @@ class Record:
         folder = Path(folder)
         if not folder.is_dir():
             raise InputError(f"{folder}: no such folder")
-        summary = read_summary(folder / "summary.json")
+        summary = _read_summary(folder / "summary.json")
         files = sheet_files(folder)
         travels = [summary["reached_mm"] if s is None else s for s, _ in files]
-
-        def load(number: int) -> FormedSheet:
-            return _own_sheet(files[number][1], travels[number])
-
-        history = folder / "history.csv"
-        return cls(
-            summary,
-            read_history(history) if history.exists() else {},
-            Sheets(travels, load),
-            folder,
-        )
+        sheets = Sheets(travels, lambda k: _own_sheet(files[k][1], travels[k]))
+        return cls(summary, _read_history(folder / "history.csv"), sheets, folder)
 
     @classmethod
     def of(cls, source: Any) -> Record:
@@ -128,7 +113,7 @@ class Record:
 
     @property
     def name(self) -> str:
-        """Name of the folder, by which runs of one case are told apart; of the case without one."""
+        """Name of the folder, or of the case where there is none."""
         return str(self.summary["case"]) if self.folder is None else self.folder.resolve().name
 
     @property
@@ -143,16 +128,26 @@ class Record:
 
     @property
     def scene(self) -> str:
-        """Name or file of its scene, where it is now.
+        """Name or file of its scene, wherever the working folder is.
+
+        A file is looked for where it was when the run was made, then where it was named from:
+        beside the run's folder and in it (they may have moved together), and from here.
 
         Raises
         ------
         InputError
-            If its file is not there any more.
+            If it is in none of these places.
         """
-        if self.folder is None:
-            return str(self.parameters.get("scene"))
-        return scene_of(self.parameters, self.folder)
+        given, recorded = str(self.parameters["scene"]), self.parameters.get("scene_file")
+        if self.folder is None or not given.endswith(".toml"):
+            return given
+        places = [Path(recorded)] if isinstance(recorded, str) else []
+        places += [self.folder.resolve().parent / given, self.folder / given, Path(given)]
+        for path in places:
+            if path.is_file():
+                return str(path)
+        looked = ", ".join(dict.fromkeys(str(path.parent) for path in places))
+        raise InputError(f"{self.folder}: its scene {given} is in none of {looked}")
 
     @property
     def sheet(self) -> FormedSheet:
@@ -166,11 +161,11 @@ class Record:
 
     @property
     def goal(self) -> float:
-        """Travel that was asked for, mm; the travel that was reached where that is not known."""
-        if self.model is not None:
-            return self.model.travel
+        """End of the travel: what was asked for, as far as it is known, or what was reached."""
         given = self.parameters
-        return float(given.get("travel", given.get("displacement", self.travel)))
+        asked = given.get("travel", given.get("displacement", 0.0))
+        asked = self.model.travel if self.model is not None else float(asked)
+        return max(asked, self.travel) or 1.0
 
     @property
     def travel_name(self) -> str:
@@ -227,12 +222,19 @@ class Record:
         """Centre and radius of the named areas on the flat sheet, mm; none where not known."""
         if self.model is not None:
             return dict(self.model.areas)
-        return named_areas(self.parameters, self.folder)
+        if isinstance(self.parameters.get("scene"), str) and not self.parameters.get("turn"):
+            with suppress(InputError):
+                return dict(scene_file.load(self.scene).areas)
+        return {}
 
     @property
     def locking(self) -> float | None:
         """Shear angle at which the fabric locks, degrees; None for a law without locking."""
-        return locking_angle(self.parameters)
+        fabric = self.parameters.get("fabric")
+        shear = (fabric.get("shear") if isinstance(fabric, dict) else None) or {}
+        onset = shear.get("I_lo")
+        locks = onset is not None and shear.get("C_lo") and 0 < onset < 1
+        return float(np.degrees(np.arcsin(onset))) if locks else None
 
     def upto(self, state: int) -> Record:
         """Return the run up to one of its sheets."""
@@ -276,14 +278,8 @@ class Record:
         end.write(folder / "result.vtu")
 
 
-def read_summary(path: Path) -> dict[str, Any]:
-    """Contents of a `summary.json`, in today's format.
-
-    Raises
-    ------
-    InputError
-        If it is not the summary of a run, or of a newer version.
-    """
+def _read_summary(path: Path) -> dict[str, Any]:
+    """Contents of a `summary.json`, in today's format."""
     try:
         summary = json.loads(path.read_text(encoding="utf-8"))
         kinds = {"reached_mm": int | float, "parameters": dict, "error_estimate": dict}
@@ -303,32 +299,29 @@ def read_summary(path: Path) -> dict[str, Any]:
 
 def _of_first_format(summary: dict[str, Any]) -> dict[str, Any]:
     """Summary in today's format from one of version 0.1.0."""
-    told = summary.get("certified")
-    reasons = told.split("; ") if isinstance(told, str) else []
+    given, many = summary.get("certified"), summary.get("one_of_many")
+    reasons = given.split("; ") if isinstance(given, str) else []
+    unsolved = [r for r in reasons if r.startswith("residual") or "pivots" in r or "balance" in r]
     return summary | {
         "format": FORMAT,
-        "certified": told is True,
-        "certificate": {"converged": told is True, "reasons": reasons},
-        "trust": [summary["one_of_many"]] if summary.get("one_of_many") else [],
+        "certified": given is True,
+        "certificate": {"converged": not unsolved, "reasons": reasons},
+        "trust": [f"one of many states: {many}"] if many else [],
         "factorisations": {},
     }
 
 
-def read_history(path: Path) -> dict[str, FloatArray]:
-    """Columns of a `history.csv` by heading.
-
-    Raises
-    ------
-    InputError
-    """
+def _read_history(path: Path) -> dict[str, FloatArray]:
+    """Columns of a `history.csv` by heading; none without the file."""
+    if not path.exists():
+        return {}
     try:
-        with path.open(newline="", encoding="utf-8") as file:
-            heading, *rows = csv.reader(file)
-        columns = np.array([[float(cell) for cell in row] for row in rows])
+        heading = path.read_text(encoding="utf-8").splitlines()[0].split(",")
+        columns = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2)
         return dict(zip(heading, columns.T, strict=True))
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}") from error
-    except ValueError as error:
+    except (ValueError, IndexError) as error:
         raise InputError(f"{path}: not a history of this program: {error}") from error
 
 
@@ -366,57 +359,6 @@ def series(path: Path) -> list[tuple[float, Path]]:
     if not found:
         raise InputError(f"{path}: it names no file")
     return sorted(found, key=lambda entry: entry[0])
-
-
-def scene_of(parameters: dict[str, Any], folder: Path) -> str:
-    """Name or file of the scene that a run is of, wherever the working folder is.
-
-    A file is looked for where it was when the run was made, then where it was named from: beside
-    the run's folder and in it (they may have moved together), and from here.
-
-    Parameters
-    ----------
-    parameters : dict
-        Of the run's summary.
-    folder : path
-        The run's.
-
-    Raises
-    ------
-    InputError
-        If it is in none of these places.
-    """
-    given = str(parameters.get("scene"))
-    if not given.endswith(".toml"):
-        return given
-    recorded = parameters.get("scene_file")
-    places = [Path(recorded)] if isinstance(recorded, str) else []
-    places += [folder.resolve().parent / given, folder / given, Path(given)]
-    for path in places:
-        if path.is_file():
-            return str(path)
-    looked = ", ".join(dict.fromkeys(str(path.parent) for path in places))
-    raise InputError(f"{folder}: its scene {given} is in none of {looked}")
-
-
-def named_areas(
-    parameters: dict[str, Any], folder: Path
-) -> dict[str, tuple[tuple[float, float], float]]:
-    """Named areas of the scene that a run is of; none where it is not known or turned."""
-    if not isinstance(parameters.get("scene"), str) or parameters.get("turn"):
-        return {}
-    with suppress(InputError):
-        return dict(scene_file.load(scene_of(parameters, folder)).areas)
-    return {}
-
-
-def locking_angle(parameters: dict[str, Any]) -> float | None:
-    """Shear angle at which the fabric of a run locks, degrees; None for a law without locking."""
-    fabric = parameters.get("fabric")
-    shear = (fabric.get("shear") if isinstance(fabric, dict) else None) or {}
-    onset = shear.get("I_lo")
-    locks = onset is not None and shear.get("C_lo") and 0 < onset < 1
-    return float(np.degrees(np.arcsin(onset))) if locks else None
 
 
 def _own_sheet(path: Path, travel: float) -> FormedSheet:
