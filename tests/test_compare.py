@@ -692,7 +692,7 @@ def test_command(result, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (["--mirror", "z"], "--mirror: expected x, y or x,y, got 'z'"),
+        (["--mirror", "z"], "--mirror: unknown value 'z': expected one of x, y, x,y"),
         (["--area", "a=1,2"], "--area: expected NAME=X,Y,RADIUS in mm, got 'a=1,2'"),
         (["--align", "rigit"], "did you mean 'rigid'?"),
         (["--field", "S"], "no field 'S'"),

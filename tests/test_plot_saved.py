@@ -3,6 +3,7 @@
 import csv
 import json
 import shutil
+import webbrowser
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +12,6 @@ from numpy.testing import assert_allclose
 from PIL import Image
 
 import quasiform as qf
-from quasiform.console import cli
 from quasiform.console.cli import main
 from quasiform.draw import pictures, view
 from quasiform.result.record import Record
@@ -267,7 +267,7 @@ def test_view_command(folders, tmp_path, monkeypatch, capsys):
     root, _ = folders
     monkeypatch.chdir(tmp_path)
     opened = []
-    monkeypatch.setattr(cli.webbrowser, "open", lambda page: opened.append(page) or True)
+    monkeypatch.setattr(webbrowser, "open", lambda page: opened.append(page) or True)
     assert main(["view", str(root / "dome")]) == 0
     out = capsys.readouterr().out
     assert ", converged and certified" in out

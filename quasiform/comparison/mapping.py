@@ -12,9 +12,8 @@ from types import ModuleType
 
 import numpy as np
 
-from ..checks import InputError
+from ..checks import InputError, optional
 from ..result.sheet import FormedSheet
-from ..tools.surface_file import optional
 
 FloatArray = np.ndarray
 ANGLE = "shear_angle"

@@ -438,15 +438,14 @@ def tool_cuts(run: Record) -> tuple[dict[str, tuple[FloatArray, ...]], str]:
         return {}, ""
     given = run.parameters
     try:
-        turn = {"turn": given["turn"]} if given.get("turn") else {}
-        scene = forming(run.scene, given["orientation"], size=given["size"], **turn)
+        model = forming(run.scene, given["orientation"], size=given["size"])
     except (InputError, KeyError, TypeError) as error:
         return {}, f"its scene was not found or has changed: {' '.join(str(error).split())}"
     low, high = run.sheet.flat.min(0), run.sheet.flat.max(0)
     x, y = (np.linspace(low[i], high[i], CUT) for i in (0, 1))
-    plan = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2) @ rotation(scene.turn)
+    plan = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2) @ rotation(model.sheet.turn)
     cuts = {}
-    for contact in scene.contacts:
+    for contact in model.contacts:
         tool = contact.tool
         if tool.motion == "free":  # a holder lies over the sheet, as the die under it
             continue

@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..checks import InputError, check_number
+from ..checks import InputError, check_number, optional
 from ..comparison.mapping import closest, on_surface, spacing
 from ..result.files import replaced
 from ..result.sheet import FormedSheet
 from ..tables import read_table
-from ..tools.surface_file import normals_of, optional
+from ..tools.mending import normals_of
 from .drawing import Drawing, write_csv, write_dxf, write_svg
 from .fibres import limits_of, read_formed
 from .keywords import write_notices

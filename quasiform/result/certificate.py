@@ -64,25 +64,25 @@ def certify(result: Outcome) -> Certificate:
     ----------
     result : Outcome
     """
-    scene, pivots = result.scene, result.negative_pivots
+    model, pivots = result.model, result.negative_pivots
     figures = {
         "residual_relative": result.residual,
         "negative_pivots": np.nan if pivots is None else float(pivots),
         "energy_balance_relative": result.energy_balance,
         "stabilisation_work_relative": result.stabilisation,
         "penetration_mm": result.max_penetration,
-        "penetration_allowed_mm": PENETRATION * scene.fabric.thickness,
+        "penetration_allowed_mm": PENETRATION * model.sheet.fabric.thickness,
         "flange_lift_mm": result.flange_lift,
     }
     depth, allowed = figures["penetration_mm"], figures["penetration_allowed_mm"]
-    given, own = result.settings.get("increment"), scene.increment
+    given, own = result.settings.get("increment"), model.increment
     scattered = [
         name for name in result.quantities if not result.spread.get(name, ROBUST)["robust"]
     ]
     collapse = f"{result.collapse['travel_mm']:.4g}" if result.collapse else ""
     open_balance = f"energy balance open by {100 * result.energy_balance:.1f} %"
     steps = f"friction follows its path in increments of {own:g} mm, not {given or 0:g}"
-    too_long = given and scene.frictions and given > own * (1 + 1e-6)
+    too_long = given and model.frictions and given > own * (1 + 1e-6)
     unsolved = {  # what is said: whether it is so
         f"residual {result.residual:.1e} of the driving force": not result.residual < RESIDUAL,
         "no pivots from the linear solver": pivots is None,
@@ -111,7 +111,7 @@ def one_of_many(result: Outcome) -> str:
             f"the sheet jumped {len(snaps)} time{'s' * (len(snaps) > 1)}, first near "
             f"{snaps[0]['to_mm']:.4g} mm"
         )
-    if lift > LIFTED * result.scene.fabric.thickness:
+    if lift > LIFTED * result.model.sheet.fabric.thickness:
         signs.append(f"the flange lifts by {lift:.2f} mm")
     if scattered := [name for name, entry in result.spread.items() if not entry["robust"]]:
         signs.append(f"perturbed starts scatter in {', '.join(scattered)}")
@@ -133,7 +133,7 @@ def trust(result: Outcome) -> list[str]:
     areas = result.blank.areas / result.blank.areas.sum()
     for reason, flag in result.doubts().items():
         if reason in LIMITED and (share := areas @ flag) >= SHARE:
-            words = LIMITED[reason].format(range=result.scene.fabric.shear_range)
+            words = LIMITED[reason].format(range=result.model.sheet.fabric.shear_range)
             found.append(f"{100 * share:.0f} % of the area is {words}")
     if result.collapse:
         found.append(f"collapsed from {result.collapse['travel_mm']:.4g} mm on")

@@ -46,12 +46,12 @@ def judged(result: Outcome, coarser: Sequence[Outcome]) -> Outcome:
 
 def _comparable(fine: Outcome, coarse: Outcome) -> bool:
     names = [
-        [term.name for term in result.scene.terms if "between" not in term.name]
+        [term.name for term in result.model.terms if "between" not in term.name]
         for result in (fine, coarse)
     ]
     return (
         names[0] == names[1]
-        and fine.scene.fixed.sum() >= coarse.scene.fixed.sum()
+        and fine.model.fixed.sum() >= coarse.model.fixed.sum()
         and fine.states[-1].travel == coarse.states[-1].travel
         and not (coarse.reason or coarse.collapse)
     )

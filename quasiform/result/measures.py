@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from ..energy import Term
 from ..energy.bending import Bending
-from ..energy.contact import LEVER, Contact
+from ..energy.contact import LEVER, Contact, moment
 from ..energy.membrane import Membrane
+from ..energy.term import Term
 from ..net.blank import Blank
 from ..net.edges import EdgePoint, disc, edge_points
 from .sheet import FormedSheet
@@ -136,7 +136,7 @@ def wrinkles(
         kappa = term.curvature(x)
         found["largest_curvature_1_per_mm"] = float(np.abs(kappa).max())
         at_nodes = np.full((source.max() + 1, 2), np.nan)
-        at_nodes[term.dofs[:, 0] // 3] = kappa
+        at_nodes[term.nodes[:, 0]] = kappa
         for contact in terms:
             if isinstance(contact, Contact) and contact.tool.motion != "free":
                 at_nodes[contact.nodal_force(x) > 0] = np.nan
@@ -192,14 +192,14 @@ def resting_tools(
             continue
         entry = found.setdefault(tool.name, {"lift_mm": float(x[dofs[0]] - start[dofs[0]])})
         if tool.tilts:
-            entry["tilt_deg"] = np.degrees(model.to_user(x[dofs[1:]]) / LEVER).tolist()
+            entry["tilt_deg"] = np.degrees(model.sheet.to_user(x[dofs[1:]]) / LEVER).tolist()
             continue
-        moment = contact.moment(x) / model.share
+        turning = moment(contact, x) / model.share
         for axis, plane in enumerate("xy"):
-            if plane in model.blank.mirror:
-                moment[1 - axis] = 0.0
-        moment = model.to_user(moment) + entry.get("held_moment_Nmm", np.zeros(2))
-        entry["held_moment_Nmm"] = moment.tolist()
+            if plane in model.sheet.blank.mirror:
+                turning[1 - axis] = 0.0
+        turning = model.sheet.to_user(turning) + entry.get("held_moment_Nmm", np.zeros(2))
+        entry["held_moment_Nmm"] = turning.tolist()
     return found
 
 

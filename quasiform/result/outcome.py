@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..model import COLLAPSE, Scene
+from ..model import COLLAPSE, Model
 from ..net.blank import Blank
 from ..net.edges import disc
 from . import measures
@@ -34,11 +34,11 @@ class Outcome:
     The parameters are those of `Result`.
     """
 
-    scene: Scene
+    model: Model
     states: list[State]
     reason: str
     wall_s: float
-    linear_solves: float
+    linear_solves: int
     settings: dict[str, Any]
     increments: int
     rescues: dict[str, int]
@@ -51,11 +51,20 @@ class Outcome:
     estimate: dict[str, float | None] = field(
         default_factory=lambda: {"shear_angle_deg": None, "force_N": None}
     )
-    solve_s: float = 0.0
     shear_angle_error: FloatArray | None = None
     spread: dict[str, dict[str, float | bool]] = field(default_factory=dict)
     path: Outcome | None = None
     factorisations: dict[str, int] = field(default_factory=dict)
+    memory: tuple[Any, ...] = ()
+    notes: list[tuple[str, str]] = field(default_factory=list)
+
+    def add_work(self, other: Outcome, failed: int = 0) -> None:
+        """Add the factorisations of another run, and of a failed try on this mesh."""
+        own = f"{self.model.size:g} mm"
+        counts = self.factorisations | {own: self.factorisations.get(own, 0) + failed}
+        for mesh, count in other.factorisations.items():
+            counts[mesh] = counts.get(mesh, 0) + count
+        self.factorisations = counts
 
     @property
     def status(self) -> str:
@@ -65,7 +74,7 @@ class Outcome:
     @property
     def blank(self) -> Blank:
         """The whole flat blank in the user's axes (mirrored where a part was modelled)."""
-        return self.scene.whole[0]
+        return self.model.sheet.whole[0]
 
     @property
     def force(self) -> float:
@@ -73,15 +82,16 @@ class Outcome:
         return self.states[-1].force
 
     @property
-    def model(self) -> list[tuple[str, str]]:
+    def description(self) -> list[tuple[str, str]]:
         """What is modelled and what was left out, and why."""
         if self.path is None:
-            return self.scene.model
+            return [*self.model.description, *self.notes]
         why = (
-            f"only the end is solved at {self.scene.size:g} mm; the forces along the travel come "
+            f"only the end is solved at {self.model.size:g} mm; the forces along the travel come "
             "from there (--size keeps one mesh)"
         )
-        return [*self.scene.model, (f"path on a mesh of {self.path.scene.size:g} mm", why)]
+        followed = (f"path on a mesh of {self.path.model.size:g} mm", why)
+        return [*self.model.description, *self.notes, followed]
 
     @property
     def followed(self) -> list[tuple[Outcome, int]]:
@@ -97,23 +107,23 @@ class Outcome:
     @property
     def history(self) -> dict[str, FloatArray]:
         """Columns by name, one row an increment; `pandas.DataFrame(result.history)` takes it."""
-        travel, rows = self.scene.travel_name, self.rows
+        travel, rows = self.model.travel_name, self.rows
         columns = {travel: [s.travel for s in rows], "force_N": [s.force for s in rows]}
-        for name in self.scene.measures:
+        for name in self.model.measures:
             columns[name] = [s.measures[name] for s in rows]
         columns["linear_solves"] = [s.linear_solves for s in rows]
         if self.path is not None:
-            columns["size_mm"] = [*[self.path.scene.size] * (len(rows) - 1), self.scene.size]
+            columns["size_mm"] = [*[self.path.model.size] * (len(rows) - 1), self.model.size]
         return {name: np.array(values) for name, values in columns.items()}
 
     def positions(self, state: int = -1) -> FloatArray:
         """(n_nodes, 3) positions of the whole sheet, mm."""
-        return self.scene.whole_positions(self.states[state].x)
+        return self.model.sheet.whole_positions(self.states[state].x)
 
     def shear_angles(self, state: int = -1) -> FloatArray:
         """(n_triangles,) signed shear angle of the whole sheet, degrees."""
-        _, _, _, source, sign = self.scene.whole
-        return np.degrees(self.scene.membrane.shear_angle(self.states[state].x))[source] * sign
+        _, _, _, source, sign = self.model.sheet.whole
+        return np.degrees(self.model.membrane.shear_angle(self.states[state].x))[source] * sign
 
     @property
     def shear_angle(self) -> FloatArray:
@@ -139,8 +149,8 @@ class Outcome:
 
     def cell_fields(self, state: int = -1) -> dict[str, FloatArray]:
         """Fields by triangle: shear_angle (degrees), warp, weft (unit vectors), E11, E22, S12."""
-        blank, membrane, x = self.blank, self.scene.membrane, self.states[state].x
-        _, _, _, source, sign = self.scene.whole
+        blank, membrane, x = self.blank, self.model.membrane, self.states[state].x
+        _, _, _, source, sign = self.model.sheet.whole
         I4, _, I8 = membrane.invariants(x)
         formed = FormedSheet(self.positions(state), blank.triangles, blank.nodes)
         warp, weft = formed.fibres(np.array([blank.warp, blank.weft]))
@@ -160,14 +170,14 @@ class Outcome:
 
     def point_fields(self, state: int = -1) -> dict[str, FloatArray]:
         """Fields by node: displacement (mm) and contact_pressure (MPa, summed over the tools)."""
-        scene, source = self.scene, self.scene.whole[1]
+        model, source = self.model, self.model.sheet.whole[1]
         X = np.pad(self.blank.nodes, ((0, 0), (0, 1)))
-        if scene.dim == 3:
-            X[:, 2] = scene.positions(scene.x0)[source, 2]
-        force = np.zeros(len(scene.blank.nodes))
-        for contact in scene.contacts:
+        if model.sheet.dim == 3:
+            X[:, 2] = model.sheet.positions(model.x0)[source, 2]
+        force = np.zeros(len(model.sheet.blank.nodes))
+        for contact in model.contacts:
             force += contact.nodal_force(self.states[state].x)
-        pressure = force / scene.blank.node_areas
+        pressure = force / model.sheet.blank.node_areas
         return {"displacement": self.positions(state) - X, "contact_pressure": pressure[source]}
 
     def doubts(self, state: int = -1) -> dict[str, np.ndarray]:
@@ -180,11 +190,11 @@ class Outcome:
         state : int
             Which increment; the last one by default.
         """
-        membrane, source = self.scene.membrane, self.scene.whole[3]
+        membrane, source = self.model.membrane, self.model.sheet.whole[3]
         gamma = np.abs(self.shear_angles(state))
         stability = measures.shear_stability(membrane, self.states[state].x)[source]
         return {
-            "beyond_identified_range": gamma > self.scene.fabric.shear_range,
+            "beyond_identified_range": gamma > self.model.sheet.fabric.shear_range,
             "unstable_in_shear": stability < 0,
             "collapsed": gamma > np.degrees(COLLAPSE),
             "rovings_may_slip": (
@@ -200,7 +210,7 @@ class Outcome:
     @property
     def flange_lift(self) -> float:
         """How far the sheet leaves the flat faces of fixed tools at the end, mm."""
-        return measures.flange_lift(self.scene.contacts, self.states[-1].x)
+        return measures.flange_lift(self.model.contacts, self.states[-1].x)
 
     @property
     def wrinkles(self) -> dict[str, float | None]:
@@ -208,44 +218,44 @@ class Outcome:
 
         The waves of each family of fibres off punch and die: how many lines, their wavelength (mm).
         """
-        blank, source, *_ = self.scene.whole
-        found = measures.wrinkles(self.scene.terms, self.states[-1].x, blank, source)
+        blank, source, *_ = self.model.sheet.whole
+        found = measures.wrinkles(self.model.terms, self.states[-1].x, blank, source)
         return {"flange_lift_mm": self.flange_lift} | found
 
     @property
     def wrinkled(self) -> bool:
         """Whether the flange is lifted and waves; on a coarse mesh it lifts beside a fillet too."""
-        if self.flange_lift <= measures.LIFTED * self.scene.fabric.thickness:
+        if self.flange_lift <= measures.LIFTED * self.model.sheet.fabric.thickness:
             return False
         return any(self.wrinkles[f"waving_{family}_lines"] for family in ("warp", "weft"))
 
     def resting_tools(self) -> dict[str, dict[str, float | list[float]]]:
         """Lift (mm) and tilt (degrees) of each free tool, or the moment its guide takes (N mm)."""
-        return measures.resting_tools(self.scene, self.states[-1].x, self.states[0].x)
+        return measures.resting_tools(self.model, self.states[-1].x, self.states[0].x)
 
     @property
     def max_penetration(self) -> float:
         """Deepest penetration into a tool at the end, mm, at the nodes, where contact acts."""
-        return measures.max_penetration(self.scene.contacts, self.states[-1].x)
+        return measures.max_penetration(self.model.contacts, self.states[-1].x)
 
     @property
     def chord_penetration(self) -> float:
         """Deepest penetration at the middle of an element edge, mm: how far chords cut fillets."""
-        scene, x = self.scene, self.states[-1].x
-        middles = scene.positions(x)[scene.blank.mesh.facets.T].mean(1)
-        return measures.chord_penetration(scene.contacts, x, middles, scene.fabric.thickness)
+        model, x = self.model, self.states[-1].x
+        middles = model.sheet.positions(x)[model.sheet.blank.mesh.facets.T].mean(1)
+        return measures.chord_penetration(model.contacts, x, middles, model.sheet.fabric.thickness)
 
     @property
     def draw_in(self) -> dict[str, float]:
         """Inward motion of the middle of each edge at the end, mm, by direction."""
         positions = self.positions()
-        return {name: edge.draw_in(positions) for name, edge in self.scene.edges.items()}
+        return {name: edge.draw_in(positions) for name, edge in self.model.edges.items()}
 
     @property
     def areas(self) -> dict[str, float | None]:
         """Mean |shear angle| of each named area at the end, degrees; None without a triangle."""
         means: dict[str, float | None] = {}
-        for name, (centre, radius) in self.scene.areas.items():
+        for name, (centre, radius) in self.model.areas.items():
             inside = disc(self.blank, centre, radius)
             weight, gamma = self.blank.areas[inside], np.abs(self.shear_angle[inside])
             means[name] = float(weight @ gamma / weight.sum()) if inside.any() else None

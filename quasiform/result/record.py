@@ -23,7 +23,7 @@ from ..scenes import scene_file
 from .sheet import FormedSheet, read_sheets
 
 if TYPE_CHECKING:
-    from ..model import Scene
+    from ..model import Model
 
 FloatArray = np.ndarray
 FORMAT = 2
@@ -73,7 +73,7 @@ class Record:
         Those that were written, by travel; the end is the last one.
     folder : path or None
         None for a run that is not saved.
-    model : Scene or None
+    model : Model or None
         What was solved; None for a run read from its folder.
     gripped : (n,) bool array or None
         Nodes of the last sheet that are held in all directions.
@@ -83,7 +83,7 @@ class Record:
     history: Mapping[str, FloatArray]
     sheets: Sheets
     folder: Path | None = None
-    model: Scene | None = field(default=None, repr=False)
+    model: Model | None = field(default=None, repr=False)
     gripped: np.ndarray | None = field(default=None, repr=False)
 
     @classmethod
@@ -201,7 +201,7 @@ class Record:
     def in_plane(self) -> bool:
         """Whether the run is a plane problem."""
         if self.model is not None:
-            return self.model.dim == 2
+            return self.model.sheet.dim == 2
         return not (self.has_tools or np.ptp(self.sheet.points[:, 2]) > 0)
 
     @property
@@ -213,7 +213,7 @@ class Record:
     def fabric(self) -> dict[str, Any]:
         """Parameters of the fabric as in `summary.json`: name, thickness (mm), shear, ..."""
         if self.model is not None:
-            return dict(vars(self.model.fabric))
+            return dict(vars(self.model.sheet.fabric))
         given = self.parameters.get("fabric")
         return given if isinstance(given, dict) else {}
 
@@ -222,7 +222,7 @@ class Record:
         """Centre and radius of the named areas on the flat sheet, mm; none where not known."""
         if self.model is not None:
             return dict(self.model.areas)
-        if isinstance(self.parameters.get("scene"), str) and not self.parameters.get("turn"):
+        if isinstance(self.parameters.get("scene"), str):
             with suppress(InputError):
                 return dict(scene_file.load(self.scene).areas)
         return {}

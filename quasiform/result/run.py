@@ -25,7 +25,7 @@ class Result(Outcome):
 
     Parameters
     ----------
-    scene : Scene
+    model : Model
     states : list of State
         The start first, the end last.
     reason : str
@@ -56,8 +56,6 @@ class Result(Outcome):
         Error of the mesh of each of the `quantities`, above all `shear_angle_deg` (of the 99th
         percentile) and `force_N`, from coarser meshes (`estimate.discretisation_error`); None if
         not estimated.
-    solve_s : float
-        Time of one linear solve, s.
     shear_angle_error : (n_triangles,) array or None
         The same of the shear angle, degrees.
     spread : dict
@@ -66,13 +64,17 @@ class Result(Outcome):
         Where only the end was solved on this mesh: the way there on a coarser one.
     factorisations : dict of mesh to count
         Numeric factorisations by mesh, such as {"10 mm": 295, "5 mm": 27}.
+    memory : tuple
+        States of the terms at the end.
+    notes : list of (entry, reason)
+        What else to say of how it was solved.
     """
 
     def __repr__(self) -> str:
         end = self.states[-1]
         return (
-            f"<Result {self.scene.name}: {self.status} at {end.travel:.4g} of "
-            f"{self.scene.travel:.4g}, {len(self.scene.blank.triangles)} triangles, "
+            f"<Result {self.model.name}: {self.status} at {end.travel:.4g} of "
+            f"{self.model.travel:.4g}, {len(self.model.sheet.blank.triangles)} triangles, "
             f"{end.force:.4g} N>"
         )
 
@@ -125,8 +127,8 @@ class Result(Outcome):
     @property
     def gripped(self) -> np.ndarray:
         """(n_nodes,) bool array: nodes of the whole sheet that are held in all directions."""
-        scene = self.scene
-        return scene.fixed[: scene.n_nodal].reshape(-1, scene.dim).all(1)[scene.whole[1]]
+        sheet = self.model.sheet
+        return self.model.fixed[sheet.dofs].all(1)[sheet.whole[1]]
 
     @property
     def record(self) -> Record:
@@ -136,7 +138,7 @@ class Result(Outcome):
             [run.states[i].travel for run, i in followed],
             lambda k: followed[k][0].sheet_at(followed[k][1]),
         )
-        return Record(self.summary(), self.history, sheets, model=self.scene, gripped=self.gripped)
+        return Record(self.summary(), self.history, sheets, model=self.model, gripped=self.gripped)
 
     def save(self, out: str | Path, *, force: bool = False, pictures: bool | None = None) -> Path:
         """Write summary.json, history.csv, outline.csv, result.vtu, result.pvd and the pictures.
@@ -158,7 +160,7 @@ class Result(Outcome):
         with replaced(out, force=force) as folder:
             self.write(folder)
         if (
-            self.scene.outputs["pictures"] if pictures is None else pictures
+            self.model.outputs["pictures"] if pictures is None else pictures
         ):  # last: the numbers of a long run shall not depend on them
             self.draw(Path(out))
         return Path(out)
@@ -178,4 +180,4 @@ class Result(Outcome):
         since : int
             First of the states along the travel whose mesh is written.
         """
-        self.record.write(folder, since, increments=self.scene.outputs["increments"])
+        self.record.write(folder, since, increments=self.model.outputs["increments"])

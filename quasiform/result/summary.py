@@ -21,14 +21,14 @@ def summarise(result: Outcome, certificate: Certificate) -> dict[str, Any]:
     result : Outcome
     certificate : Certificate
     """
-    scene, sheet = result.scene, result.sheet
+    model, sheet = result.model, result.sheet
     gamma, areas = np.abs(sheet.shear_angle), sheet.flat_areas
     strain = np.maximum(sheet.cell_fields["E11"], sheet.cell_fields["E22"]).max()
     summary: dict[str, Any] = {
-        "case": scene.name,
+        "case": model.name,
         "version": package_version(),
         "format": FORMAT,
-        "parameters": scene.parameters,
+        "parameters": model.parameters,
         "status": result.status,
         "reached_mm": result.states[-1].travel,
         "reason": result.reason,
@@ -37,11 +37,11 @@ def summarise(result: Outcome, certificate: Certificate) -> dict[str, Any]:
         "factorisations": result.factorisations,
         "solver": result.settings,
         "increments": result.increments,
-        "path_size_mm": None if result.path is None else result.path.scene.size,
-        "nodes": len(scene.blank.nodes),
-        "triangles": len(scene.blank.triangles),
-        "dofs": int((~scene.fixed).sum()),
-        "model": [f"{entry}: {why}" for entry, why in result.model],
+        "path_size_mm": None if result.path is None else result.path.model.size,
+        "nodes": len(model.sheet.blank.nodes),
+        "triangles": len(model.sheet.blank.triangles),
+        "dofs": int((~model.fixed).sum()),
+        "model": [f"{entry}: {why}" for entry, why in result.description],
         "force_N": result.force,
         "shear_angle_deg": {
             "max": float(gamma.max()),
@@ -72,7 +72,7 @@ def summarise(result: Outcome, certificate: Certificate) -> dict[str, Any]:
             reason: float(areas @ flag / areas.sum()) for reason, flag in sheet.doubts().items()
         },
     }
-    return _finite(summary | (_forming(result) if scene.contacts else {}))
+    return _finite(summary | (_forming(result) if model.contacts else {}))
 
 
 def _forming(result: Outcome) -> dict[str, Any]:

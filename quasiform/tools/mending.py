@@ -26,37 +26,23 @@ ROUNDS = 10  # of turning edges, for slivers side by side
 def merged(vertices: FloatArray, triangles: np.ndarray) -> tuple[FloatArray, np.ndarray, list[str]]:
     """Merge vertices nearer than `MERGED`, drop triangles that lose a side and unused vertices.
 
-    Returns
-    -------
-    vertices, triangles
-    repairs : list of str
-        What was done, but the merging of equal vertices.
+    Returns the vertices, the triangles and what was done beside the merging of equal vertices.
 
     Raises
     ------
     InputError
         For coordinates that are not finite, or if no triangle has an area.
     """
-    from scipy.spatial import cKDTree
-
     check_numbers(vertices, triangles)
     vertices, index = np.unique(vertices, axis=0, return_inverse=True)
-    triangles, n = index.reshape(-1)[triangles], len(vertices)
-    pairs = cKDTree(vertices).query_pairs(
-        MERGED * np.linalg.norm(np.ptp(vertices, axis=0)), output_type="ndarray"
-    )
-    near = coo_array((np.ones(len(pairs)), pairs.T), shape=(n, n))
-    same = connected_components(near, directed=False)[1]
-    share = np.bincount(same)
-    middle = np.stack([np.bincount(same, x) / share for x in vertices.T], axis=1)
-    triangles = same[triangles]
+    middle, same, apart = together(vertices, MERGED * np.linalg.norm(np.ptp(vertices, axis=0)))
+    triangles = same[index.reshape(-1)[triangles]]
     whole = (triangles != np.roll(triangles, 1, axis=1)).all(1)
     if not whole.any():
         raise InputError("no triangle has an area")
     repairs = []
-    if len(pairs):
-        apart = np.linalg.norm(np.subtract(*vertices[pairs.T]), axis=1).max()
-        count = _count(n - len(middle), "vertex", "vertices")
+    if one := len(vertices) - len(middle):
+        count = _count(one, "vertex", "vertices")
         repairs.append(f"{count} up to {apart:.1g} mm from another merged with it")
     if not whole.all():
         repairs.append(f"{_count((~whole).sum(), 'triangle')} without area removed")
@@ -64,18 +50,28 @@ def merged(vertices: FloatArray, triangles: np.ndarray) -> tuple[FloatArray, np.
     return middle[used], triangles.reshape(-1, 3).astype(np.int64), repairs
 
 
+def together(points: FloatArray, distance: float) -> tuple[FloatArray, np.ndarray, float]:
+    """Bring points (n, d) nearer than a distance together.
+
+    Returns the middles (m, d) of the groups, the group (n,) of each point and the largest distance
+    of a pair.
+    """
+    from scipy.spatial import cKDTree
+
+    pairs = cKDTree(points).query_pairs(distance, output_type="ndarray")
+    near = coo_array((np.ones(len(pairs)), pairs.T), shape=2 * (len(points),))
+    group = connected_components(near, directed=False)[1]
+    share = np.bincount(group)
+    middle = np.stack([np.bincount(group, x) / share for x in points.T], axis=1)
+    return middle, group, np.linalg.norm(np.subtract(*points[pairs.T]), axis=1).max(initial=0.0)
+
+
 def without_defects(vertices: FloatArray, triangles: np.ndarray) -> tuple[np.ndarray, list[str]]:
     """Repair a merged surface, in this order.
 
     Double triangles are removed, triangles are turned alike (the larger area stays; outwards if
     closed), small holes are filled, and slivers are merged with their neighbours by turning their
-    longest edge.
-
-    Returns
-    -------
-    triangles : (m, 3) array
-    repairs : list of str
-        What was done.
+    longest edge. Returns the triangles and what was done.
     """
     repairs = []
     single = _without_doubles(triangles)
@@ -94,7 +90,7 @@ def without_defects(vertices: FloatArray, triangles: np.ndarray) -> tuple[np.nda
         triangles = np.vstack([triangles, fans])
         edges, at = max(map(len, small)), position(vertices[small[0]].mean(0))
         one, some = f"a hole of {edges} edges", f"{len(small)} holes of up to {edges} edges, one"
-        repairs.append(f"{one if len(small) == 1 else some} around {at} of the file filled")
+        repairs.append(f"{one if len(small) == 1 else some} around {at} mm of the file filled")
     least = MERGED * np.linalg.norm(np.ptp(vertices, axis=0))
     triangles, slivers = without_slivers(vertices, triangles, least)
     if slivers:
@@ -106,9 +102,7 @@ def _without_doubles(triangles: np.ndarray) -> np.ndarray:
     """One of triangles on the same vertices, none where as many face one way as the other."""
     a, b, c = triangles.T
     sense = np.sign(b - a) * np.sign(c - b) * np.sign(c - a)  # of the order beside that by number
-    low, mid, high = np.sort(triangles, axis=1).T
-    pair = np.unique(low * (triangles.max() + 1) + mid, return_inverse=True)[1]
-    index = np.unique(pair * (triangles.max() + 1) + high, return_inverse=True)[1]
+    index = np.unique(np.sort(triangles, axis=1), axis=0, return_inverse=True)[1].reshape(-1)
     excess = np.bincount(index, sense)[index]
     kept = np.flatnonzero(sense * excess > 0)  # of those that face the way of most
     return triangles[np.sort(kept[np.unique(index[kept], return_index=True)[1]])]
@@ -131,23 +125,33 @@ def _small_holes(vertices: FloatArray, triangles: np.ndarray) -> list[list[int]]
     """Vertices about each hole that may be filled, in the sense of the triangles beside it."""
     area = np.linalg.norm(normals_of(vertices[triangles]), axis=1).sum()
     small = []
-    for loop in holes_of(vertices, triangles):
-        after: dict[int, list[int]] = {}
-        for a, b in loop.tolist():
-            after.setdefault(a, []).append(b)
-        for start in list(after):  # holes that touch in a vertex are parted there
-            path = [start]
-            while after.get(path[-1]):
-                there = after[path[-1]].pop()
-                if there not in path:
-                    path.append(there)
-                    continue
-                rim = path[path.index(there) :]
-                del path[path.index(there) + 1 :]
-                edges = np.stack([rim, np.roll(rim, -1)], axis=1)
-                if len(rim) <= FILLED[0] and _enclosed(vertices, edges) < FILLED[1] * area:
-                    small.append(rim)
+    for ring in (ring for loop in holes_of(vertices, triangles) for ring in rings_of(loop)):
+        edges = np.stack([ring, np.roll(ring, -1)], axis=1)
+        if len(ring) <= FILLED[0] and _enclosed(vertices, edges) < FILLED[1] * area:
+            small.append(ring)
     return small
+
+
+def rings_of(edges: np.ndarray) -> list[list[int]]:
+    """Vertices of the closed rings of directed edges (k, 2), parted where they touch in one."""
+    after: dict[int, list[int]] = {}
+    for a, b in edges.tolist():
+        after.setdefault(a, []).append(b)
+    rings = []
+    for start in list(after):
+        path = {start: None}
+        last = start
+        while after.get(last):
+            there = after[last].pop()
+            if there in path:
+                ring = list(path)
+                ring = ring[ring.index(there) :]
+                rings.append(ring)
+                for vertex in ring[1:]:
+                    del path[vertex]
+            path[there] = None
+            last = there
+    return rings
 
 
 def without_slivers(
@@ -250,8 +254,8 @@ def _enclosed(vertices: FloatArray, loop: np.ndarray) -> float:
 
 
 def position(point: FloatArray) -> str:
-    """A point as text."""
-    return "({:.4g}, {:.4g}, {:.4g}) mm".format(*point)
+    """A point (2,) or (3,), mm, as text; a rounding error is no coordinate."""
+    return f"({', '.join(f'{x:.4g}' for x in np.round(point, 3) + 0.0)})"
 
 
 def _count(n: int, one: str, many: str = "") -> str:

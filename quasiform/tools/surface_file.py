@@ -1,6 +1,6 @@
 """Triangles of a surface from a file: STL, OBJ, PLY, OFF, VTU, VTK, MSH, and CAD through gmsh.
 
-Files come from strangers: nothing in them is executed, and reading writes nothing.
+Files are not trusted: nothing in them is executed, and reading writes nothing.
 """
 
 from __future__ import annotations
@@ -23,12 +23,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..checks import InputError, check_file, check_number, naming, optional
-from .mending import check_numbers, edges_of, merged, normals_of, oriented, without_defects
+from .mending import check_numbers, merged, oriented, without_defects
 
 if TYPE_CHECKING:
     import meshio
-
-__all__ = ["check_numbers", "edges_of", "naming", "normals_of", "optional"]
+    from scipy.spatial.transform import Rotation
 
 FloatArray = np.ndarray
 Surface = tuple[FloatArray, np.ndarray]
@@ -69,20 +68,23 @@ class SurfaceFile:
     spacing: float | None = None
 
     def placed(self) -> tuple[FloatArray, np.ndarray, list[str]]:
-        """Vertices, triangles and repairs as `read_repaired`, in the tool's frame."""
-        from scipy.spatial.transform import Rotation
-
-        vertices, triangles, repairs = read_repaired(self.path, self.scale)
-        turn = Rotation.from_euler("xyz", self.rotate, degrees=True)
-        return turn.apply(vertices - self.origin), triangles[:, :: -1 if self.flip else 1], repairs
+        """Vertices and triangles as `read_surface`, in the tool's frame, and what was repaired."""
+        vertices, triangles, merging = _read(self.path, self.scale)
+        with naming(self.path):
+            triangles, repairs = without_defects(vertices, triangles)
+        vertices = self._turn.apply(vertices - self.origin)
+        return vertices, triangles[:, :: -1 if self.flip else 1], merging + repairs
 
     def moved_origin(self, dx: float, dy: float) -> str:
         """The `origin` that moves the placed surface by -dx and -dy (mm), as a scene's line."""
+        origin = np.round(np.add(self.origin, self._turn.inv().apply([dx, dy, 0.0])), 6) + 0.0
+        return "origin = [{:.4g}, {:.4g}, {:.4g}]".format(*origin)
+
+    @property
+    def _turn(self) -> Rotation:
         from scipy.spatial.transform import Rotation
 
-        turn = Rotation.from_euler("xyz", self.rotate, degrees=True)
-        origin = np.round(np.add(self.origin, turn.inv().apply([dx, dy, 0.0])), 6) + 0.0
-        return "origin = [{:.4g}, {:.4g}, {:.4g}]".format(*origin)
+        return Rotation.from_euler("xyz", self.rotate, degrees=True)
 
 
 def read_surface(path: str | Path, scale: float = 1.0) -> Surface:
@@ -99,8 +101,8 @@ def read_surface(path: str | Path, scale: float = 1.0) -> Surface:
 
     Returns
     -------
-    vertices : (n, 3) array
-        mm; those that coincide are merged.
+    vertices : (n, 3) array, mm
+        Those that coincide are merged.
     triangles : (m, 3) array
         Vertices in the order that turns about the outward normal; none degenerate.
 
@@ -110,27 +112,6 @@ def read_surface(path: str | Path, scale: float = 1.0) -> Surface:
         For a file that cannot be read, naming it.
     """
     return _read(path, scale)[:2]
-
-
-def read_repaired(path: str | Path, scale: float = 1.0) -> tuple[FloatArray, np.ndarray, list[str]]:
-    """Read a surface and repair it: `read_surface`, then `without_defects`.
-
-    Returns
-    -------
-    vertices, triangles
-        As `read_surface`.
-    repairs : list of str
-        What was done.
-
-    Raises
-    ------
-    InputError
-        For a file that cannot be read, naming it.
-    """
-    vertices, triangles, merging = _read(path, scale)
-    with naming(path):
-        triangles, repairs = without_defects(vertices, triangles)
-    return vertices, triangles, merging + repairs
 
 
 def _read(path: str | Path, scale: float) -> tuple[FloatArray, np.ndarray, list[str]]:
@@ -156,11 +137,10 @@ def _read_mesh(path: Path, kind: str) -> Surface:
         raise InputError("not a readable .ply file: no end_header")  # meshio would not end either
     if kind in MESHIO:
         mesh = read_mesh(path, MESHIO[kind])
-        points = np.pad(np.asarray(mesh.points, float), ((0, 0), (0, 3 - mesh.points.shape[1])))
         kinds = ("triangle", "quad", "polygon")
         faces = [block.data for block in mesh.cells if block.type in kinds]
         fans = [face[:, [0, i, i + 1]] for face in faces for i in range(1, face.shape[1] - 1)]
-        return points, np.concatenate(fans or [np.empty((0, 3), int)])
+        return mesh.points, np.concatenate(fans or [np.empty((0, 3), int)])
     if kind == ".obj":
         with _reading(path):
             return _read_obj(content)
@@ -175,7 +155,8 @@ def _read_obj(content: bytes) -> Surface:
     """Vertices and faces of an OBJ file; negative numbers count back from the last vertex."""
     points: list[list[float]] = []
     fans: list[tuple[int, int, int]] = []
-    for line in re.sub(r"\\\r?\n", " ", content.decode("latin-1")).splitlines():
+    text = content.decode("latin-1").replace("\r", "\n")
+    for line in re.sub(r"\\\n+", " ", text).split("\n"):
         key, *words = line.split("#")[0].split() or [""]
         if key == "v":
             x, y, z = map(float, words[:3])  # a weight or colours may follow
@@ -209,17 +190,16 @@ def _whole_stl(content: bytes) -> bytes:
 
 
 def read_mesh(path: Path, kind: str | None = None) -> meshio.Mesh:
-    """Read a mesh by meshio, in the format `kind` or that of the suffix.
+    """Read a mesh, its points (n, 3), by meshio, in the format `kind` or that of the suffix.
 
-    Raises
-    ------
-    InputError
+    InputError for a file that it cannot read.
     """
     reader = import_module(f"meshio.{kind}" if kind else "meshio")
     with _reading(path):
         mesh = reader.read(str(path))
-    if len(mesh.points) and (mesh.points.ndim != 2 or mesh.points.shape[1] not in (2, 3)):
+    if mesh.points.ndim != 2 or mesh.points.shape[1] not in (2, 3):
         raise InputError("the points have no two or three coordinates")
+    mesh.points = np.pad(np.asarray(mesh.points, float), ((0, 0), (0, 3 - mesh.points.shape[1])))
     return mesh
 
 
