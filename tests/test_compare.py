@@ -193,7 +193,7 @@ def test_numbers_of_a_result_are_those_of_its_summary(dome):
             assert row.over.endswith("triangles")
         assert any("as in summary.json" in note for note in found.notes)
         assert found.locking == pytest.approx((np.degrees(np.arcsin(0.819)),) * 2)
-    assert found.names == (run.scene.name, "first")
+    assert found.names == (run.model.name, "first")
 
 
 def test_means_at_points_say_how_many_they_are_of(dome, tmp_path):
@@ -610,7 +610,7 @@ def test_bad_files(result, tmp_path):
     assert "flat or formed" in refusal(result, path)
     assert "need x, y and z" in refusal(result, path, coordinates="formed")
     (tmp_path / "words.csv").write_text("x,y\n1,2\n3,four\n")
-    assert "line 3: not a number: 'four'" in refusal(result, tmp_path / "words.csv")
+    assert "line 3: column 2 is not a number: 'four'" in refusal(result, tmp_path / "words.csv")
     (tmp_path / "bare.csv").write_text("1,2,3\n4,5,6\n")
     assert "no line of headings" in refusal(result, tmp_path / "bare.csv")
     assert "align must be one of" in refusal(result, result, align="yes")

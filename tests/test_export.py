@@ -579,9 +579,9 @@ def test_deck_of_a_forming_scene(tmp_path, symmetry):
     scene = qf.forming("hemisphere", size=30, symmetry=symmetry)
     notices = abaqus_deck(scene, tmp_path / "new" / "scene.inp", spacing=12.0)
     found, nodes, elsets, nsets = read_deck(tmp_path / "new" / "scene.inp")
-    blank, fabric = scene.blank, scene.fabric
+    blank, fabric = scene.sheet.blank, scene.sheet.fabric
     x = np.array([nodes[i + 1] for i in range(len(blank.nodes))])
-    np.testing.assert_allclose(x, scene.positions(scene.x0), rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(x, scene.sheet.positions(scene.x0), rtol=1e-8, atol=1e-8)
     for name in ("MEMBRANES", "SHELLS"):
         corners = np.array(list(elsets[name].values()))
         assert (corners == blank.triangles + 1).all()
