@@ -182,7 +182,7 @@ def dome(tmp_path_factory):
 def test_numbers_of_a_result_are_those_of_its_summary(dome):
     run, folder = dome
     summary = run.summary()
-    for found in (compare(folder, folder), compare(run, folder)):
+    for found in (compare(folder, folder), compare(run.record, folder), compare(run, folder)):
         for words, name in (("mean", "mean"), ("99th percentile", "p99"), ("maximum", "max")):
             row = found[f"{words} of |γ|"]
             for value in (row.result, row.reference):

@@ -160,7 +160,7 @@ def test_result_and_its_folder_hand_over_the_same(run):
     for name in ("thickness", "areal_weight", "name"):
         assert one.fabric[name] == other.fabric[name]
     assert moduli(one) == moduli(other)
-    one, other = read_formed(result).sheet, read_formed(folder).sheet
+    one, other = read_formed(result.record).sheet, read_formed(folder).sheet
     for name in ("flat", "points", "triangles"):
         np.testing.assert_allclose(getattr(one, name), getattr(other, name), atol=1e-9)
     np.testing.assert_allclose(one.along, fibres_at(20.0), atol=1e-9)
