@@ -467,6 +467,11 @@ def test_abaqus_with_values_by_label(result, tmp_path, key):
     found = compare(result, tmp_path / "sheet.inp", **options)
     assert found[RMS].difference < (0.02 if key == "node" else 0.1)
     assert found[FAR].difference < 1e-6  # the rigid triangle is a tool
+    again = [
+        np.append(column, more) for column, more in zip(columns, (labels[0], 99.0), strict=True)
+    ]
+    write_points(options["values"], f"{key},Fabric shear", again)  # the first of a label counts
+    assert compare(result, tmp_path / "sheet.inp", **options)[RMS] == found[RMS]
     kept = labels[order] != 500
     write_points(options["values"], f"{key},Fabric shear", [c[kept] for c in columns])
     some = compare(result, tmp_path / "sheet.inp", **options)

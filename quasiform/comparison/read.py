@@ -394,8 +394,9 @@ def _of_inp(path: Path, reading: Reading) -> FormedSheet:
         if all(part in table for part in parts):
             columns["displacement"] = np.column_stack([table[part] for part in parts])
         asked = shells.nodes if key == "node" else shells.elements[rows]
-        order = {label: row for row, label in enumerate(table[key].astype(int).tolist())}
-        found = np.array([order.get(label, -1) for label in asked.tolist()])
+        labels = list(enumerate(table[key].astype(int).tolist()))
+        place = {label: row for row, label in reversed(labels)}  # the first of those that repeat
+        found = np.array([place.get(label, -1) for label in asked.tolist()])
         for name, column in columns.items():
             fields[key][name] = np.concatenate([column, np.full_like(column[:1], np.nan)])[found]
     made = (shells.points, triangles, fields["node"], fields["element"])
