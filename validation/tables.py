@@ -17,15 +17,16 @@ EXPECTED = {
 }
 
 
-def read_table(path: Path, schema: type[T]) -> list[T]:
+def read_table(path: Path, schema: type[T], *, keyed: bool = True) -> list[T]:
     """Rows of a CSV file.
 
     Parameters
     ----------
     path : Path
     schema : pydantic dataclass
-        One field per column. Columns of fields with a default may be absent. The values of the
-        first field must be unique.
+        One field per column. Columns of fields with a default may be absent.
+    keyed : bool
+        Whether there must be rows, and the values of the first field must be unique.
 
     Raises
     ------
@@ -46,9 +47,9 @@ def read_table(path: Path, schema: type[T]) -> list[T]:
         raise ValueError(
             f"{where}, row 1: unknown column {', '.join(unknown)}, expected {', '.join(known)}"
         )
-    if not lines:
+    if keyed and not lines:
         raise ValueError(f"{where}: no rows, expected at least one")
-    key, rows = next(iter(known)), dict[str, T]()
+    key, rows = next(iter(known)), list[T]()
     for number, cells in lines:
         place = f"{where}, row {number} ({cells[0]})"
         if len(cells) != len(columns):
@@ -57,10 +58,10 @@ def read_table(path: Path, schema: type[T]) -> list[T]:
             row = schema(**dict(zip(columns, cells, strict=True)))
         except ValidationError as error:
             raise ValueError(f"{place}, {_reason(error)}") from None
-        if getattr(row, key) in rows:
+        if keyed and any(getattr(row, key) == getattr(other, key) for other in rows):
             raise ValueError(f"{place}, column {key}: {cells[0]!r}, expected a unique {key}")
-        rows[getattr(row, key)] = row
-    return list(rows.values())
+        rows.append(row)
+    return rows
 
 
 def _reason(error: ValidationError) -> str:
