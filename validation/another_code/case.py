@@ -1,4 +1,4 @@
-"""The open-die hemisphere beside CalculiX's result of it, field by field."""
+"""The open-die hemisphere compared with CalculiX's result, field by field."""
 
 from pathlib import Path
 

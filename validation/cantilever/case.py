@@ -12,7 +12,7 @@ LENGTH = 100.0
 
 
 def values() -> dict[str, float]:
-    """Drop of the tip over that of the elastica; energy of a twisted strip."""
+    """Drop of the tip divided by that of the elastica; energy of a twisted strip."""
     fabric = qf.Fabric()
     found = {}
     for family, B in (("warp", fabric.bending_warp), ("weft", fabric.bending_weft)):
@@ -64,7 +64,7 @@ def _balanced(fabric: qf.Fabric, load: float) -> qf.Scene:
 
 
 def _twist(fabric: qf.Fabric) -> float:
-    """Bending energy of a strip with free edges on z = c x y, over that of z = c x²/2, c small."""
+    """Bending energy of a free strip on z = c x y, divided by that on z = c x²/2, c small."""
     blank = qf.rectangle(60.0, 30.0, 5.0)
     bending = Bending(blank, fabric)
     X, Y = blank.nodes.T

@@ -2,7 +2,7 @@
 
 A net of inextensible fibres X(u, v) on a surface with normal n obeys X_uv = -(X_u·H·X_v) n, where H
 is the second derivative of the signed distance; the shear angle obeys γ_uv = K cos γ with Gauss's
-curvature K. Two given fibres that cross determine the rest, whatever the shear law.
+curvature K. Two given crossing fibres determine the rest, for any shear law.
 """
 
 from dataclasses import dataclass
@@ -24,9 +24,9 @@ SIZES = (8.0, 4.0, 2.0)
 ROD = 0.5  # mm, of the exact net
 STIFFNESS = 100.0  # N/mm³, with which the sheet is bound to a surface
 STRETCH = 1.05  # of all fibres at the start
-# The shear of an inextensible net ends in concentrated forces along its free edges, which fibres of
-# finite stiffness spread by stretching. The net does not depend on the shear law: a weak one and
-# stiff fibres keep this out of the errors.
+# An inextensible net has concentrated forces along its free edges; fibres of finite stiffness
+# stretch there. The net does not depend on the shear law, so a weak law and stiff fibres keep this
+# effect out of the errors.
 FABRIC = qf.Fabric(
     name="nearly inextensible",
     shear=qf.ThreeStageLaw(C_ini=0.00334),
@@ -210,7 +210,7 @@ def _shear(node: np.ndarray) -> RegularGridInterpolator:
 def _meet(
     shape: Shape, x: np.ndarray, one: np.ndarray, other: np.ndarray, plane: bool = False
 ) -> np.ndarray:
-    """(m, 3) points on a surface, a rod away from (m, 3) points one and other, from a guess x.
+    """(m, 3) points on a surface, a rod away from points `one` and `other`, from a guess x.
 
     With `plane`, the points lie in the plane across `other`.
     """
@@ -227,9 +227,9 @@ def _meet(
 def _draped(
     shape: Shape, half: float, size: float, node: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Middles of the cells of a quarter of the sheet (mm), and their shear angle (degrees).
+    """Centres of the cells of a quarter of the sheet (mm), and their shear angle (degrees).
 
-    The start is the net with all fibres too long.
+    At the start all fibres are too long.
     """
     fabric = FABRIC
     blank = qf.rectangle(2 * half, 2 * half, size, mirror=("x", "y"))
@@ -260,10 +260,10 @@ def _draped(
 
 
 def _by_cell(blank: qf.Blank, gamma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Middles of the cells and the mean of their two triangles (rad to degrees).
+    """Centres of the cells and the mean of their two triangles (rad to degrees).
 
-    The legs of a triangle see the fibres at their middles, and so the shear at the middle of the
-    hypotenuse, that of the cell, to second order.
+    The legs of a triangle give the fibre directions at their middles, and so the shear at the
+    middle of the hypotenuse, the centre of the cell, to second order.
     """
     corners = blank.nodes[blank.triangles]
     middle = 0.5 * (corners.min(1) + corners.max(1))

@@ -1,4 +1,4 @@
-"""Closed forms and ordinary differential equations against the numbers printed for them."""
+"""Closed forms and ordinary differential equations compared with published numbers."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ LENGTH, WIDTH = 320.0, 160.0
 
 
 def values() -> dict[str, float]:
-    """What `quasiform.theory` and the shear laws give for every printed number."""
+    """Values of `quasiform.theory` and the shear laws for each published number."""
     return (
         _laws() | _tension_at_45() | _tension_at_30() | _elasticae() | _hemisphere() | _friction()
     )

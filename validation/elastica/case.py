@@ -1,4 +1,4 @@
-"""Strips under a load on the tip and under their own weight against the elastica, with rates."""
+"""Strips under a tip load and under their own weight compared with the elastica."""
 
 import numpy as np
 
@@ -33,7 +33,7 @@ class TipLoad:
 
 
 def values() -> dict[str, float]:
-    """Ends of the strips over the exact ones at 20 elements a length, and orders of convergence."""
+    """Ends of the strips divided by the exact ones with 20 elements, and orders of convergence."""
     fabric, found = qf.Fabric(), {}
     for family, B in (("warp", fabric.bending_warp), ("weft", fabric.bending_weft)):
         for k in (1, 2, 5, 10):
@@ -79,7 +79,7 @@ def _tip_loaded(line_load: float, size: float, family: str) -> qf.Scene:
 
 
 def _tip(scene: qf.Scene) -> tuple[float, float, float]:
-    """Place x and drop of the end over the length, and the slope of the last element, rad."""
+    """Position x and drop of the end divided by the length, and the slope of the end, rad."""
     result = qf.solve(scene, estimate=False, tolerance=1e-5)
     if result.reason:
         raise ValueError(f"{scene.name}: {result.reason}")

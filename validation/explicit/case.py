@@ -1,4 +1,4 @@
-"""An explicit time integration of a forming scene beside the implicit result."""
+"""An explicit time integration of a forming scene compared with the implicit result."""
 
 from pathlib import Path
 from tempfile import TemporaryDirectory

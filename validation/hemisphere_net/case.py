@@ -1,4 +1,4 @@
-"""Shear on the hemisphere against the exact inextensible net, in material coordinates."""
+"""Shear on the hemisphere compared with the exact inextensible net, in material coordinates."""
 
 import numpy as np
 
@@ -15,8 +15,8 @@ def _deviation(size: float) -> float:
     result = qf.solve(qf.forming("hemisphere", size=size), estimate=False)
     scene, blank = result.scene, result.scene.blank
     x = result.states[-1].x
-    # the legs of a triangle see the fibres at their middles, and so the shear at the middle of
-    # the hypotenuse to second order
+    # the legs of a triangle give the fibre directions at their middles, and so the shear at the
+    # middle of the hypotenuse to second order
     corners = blank.nodes[blank.triangles]
     edges = np.linalg.norm(np.roll(corners, -1, axis=1) - np.roll(corners, 1, axis=1), axis=2)
     n, k = np.arange(len(edges)), edges.argmax(1)

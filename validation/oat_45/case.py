@@ -1,4 +1,4 @@
-"""Off-axis tension test at 45 degrees against other codes and against the power balance."""
+"""Off-axis tension test at 45 degrees compared with other codes and the power balance."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from quasiform.scenes.fabric_tests import off_axis_zones
 
 
 def values() -> dict[str, float]:
-    """Forces at the peers' displacements, and the largest deviations from theory to u = 45 mm."""
+    """Forces at five displacements, and the largest deviations from theory to u = 45 mm."""
     found = {}
     linear = qf.Fabric(name="linear shear", shear=qf.ThreeStageLaw(C_ini=0.334))
     for name, law in (("locking", "locking"), ("linear", linear)):

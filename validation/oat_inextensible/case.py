@@ -1,4 +1,4 @@
-"""Off-axis tension with ever stiffer fibres: exact bands at 45 degrees, a bound elsewhere."""
+"""Off-axis tension with increasing fibre stiffness: exact at 45 degrees, a bound elsewhere."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ FIBRES = (1e3, 4e3, 16e3, 64e3)  # C_ini of warp and weft, MPa; that of MD600 is
 
 
 def values() -> dict[str, float]:
-    """Errors at 45 degrees over the stiffness of the fibres; energies over the bound elsewhere."""
+    """Errors at 45 degrees by fibre stiffness; energies divided by the bound elsewhere."""
     found = {}
     ideal = theory.OffAxisTension(LENGTH, WIDTH, np.pi / 4)
     for law in ("best-fit", "locking"):

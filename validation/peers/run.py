@@ -28,7 +28,7 @@ PEERS = {
 
 
 def compare(
-    peers: Sequence[str] = tuple(PEERS), repeats: int = 3, tell: Callable[[str], None] = print
+    peers: Sequence[str] = tuple(PEERS), repeats: int = 3, report: Callable[[str], None] = print
 ) -> list[Row]:
     """Run peers and return all rows.
 
@@ -37,20 +37,20 @@ def compare(
     peers : sequence of str
         Names in `PEERS`.
     repeats : int
-    tell : callable
-        Is told what is skipped, and each run in a line.
+    report : callable
+        Called with a line for each skipped peer and each run.
     """
     table: list[Row] = []
-    tell(f"load of the machine before: {os.getloadavg()[0]:.2f} on {os.cpu_count()} processors")
+    report(f"load of the machine before: {os.getloadavg()[0]:.2f} on {os.cpu_count()} processors")
     for name in peers:
         peer = importlib.import_module(f"validation.peers.{PEERS[name]}")
         if reason := peer.missing():
-            tell(f"{name} skipped: {reason}")
+            report(f"{name} skipped: {reason}")
             continue
         with tempfile.TemporaryDirectory() as folder:
             for problem in peer.problems(Path(folder)):
-                tell(problem.name)
-                table += rows(problem, repeats, tell)
+                report(problem.name)
+                table += rows(problem, repeats, report)
     return table
 
 
@@ -81,8 +81,8 @@ def table_lines(table: Sequence[Row]) -> list[str]:
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m validation.peers.run", description=__doc__)
     parser.add_argument("peers", nargs="*", metavar="peer", help=f"of {', '.join(PEERS)}")
-    parser.add_argument("--repeats", type=int, default=3, help="rounds of turns")
-    parser.add_argument("--json", type=Path, help="write the rows here, too")
+    parser.add_argument("--repeats", type=int, default=3, help="runs of each contender")
+    parser.add_argument("--json", type=Path, help="also write the rows to this file")
     given = parser.parse_args(arguments)
     if unknown := set(given.peers) - set(PEERS):
         parser.error(f"unknown peer {', '.join(sorted(unknown))}: expected {', '.join(PEERS)}")

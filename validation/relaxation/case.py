@@ -1,4 +1,4 @@
-"""Dynamic relaxation alone reaches the state that Newton's method finds."""
+"""Dynamic relaxation alone finds the same state as Newton's method."""
 
 from collections.abc import Callable
 

@@ -1,10 +1,10 @@
-"""Direct against multigrid on the tangent at the end of a forming run.
+"""Direct solvers and multigrid on the tangent at the end of a forming run.
 
     python -m validation.speed.linear [SIZE ...]
 
-Processor time of a factorisation (its pattern known) with one solution, PARDISO and SuperLU; and of
-conjugate gradients to 1e-8 with smoothed aggregation (PyAMG), whose near-nullspace holds the rigid
-motions, or these and the slides of the fibres along themselves.
+Processor time of a factorisation (with known pattern) and one solution by PARDISO and SuperLU;
+and of conjugate gradients to 1e-8 with smoothed aggregation (PyAMG), with the rigid motions as
+near-nullspace, or these and the motions of the fibres along themselves.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ TRAVEL = 40.0  # mm of the hemisphere, whole sheet
 
 
 def main(sizes: list[float]) -> None:
-    """Print a row a solver."""
+    """Print one row per solver."""
     print("| triangles | unknowns | solver | factor or set-up, s | solution, s | iterations |")
     print("|-|-|-|-|-|-|")
     for size in sizes:
@@ -70,7 +70,7 @@ def rows(result: qf.Result) -> list[tuple[str, ...]]:
 
 
 def slides(scene: Scene, x: FloatArray) -> FloatArray:
-    """(n_free, 6) motions of the fibres along themselves, a power of the place across them."""
+    """(n_free, 6) motions of the fibres along themselves: powers of the position across them."""
     triangles, n = scene.blank.triangles, len(scene.blank.nodes)
     motions = []
     for family, fibre in enumerate(np.moveaxis(scene.membrane.fibres(x), 1, 0)):

@@ -1,7 +1,7 @@
-"""What each reduction of the model buys: time saved and answer changed, beside the error estimate.
+"""Effect of each simplification: time saved and change of the result, with the error estimate.
 
-Each run is the full path on the hemisphere at 0° and 10 mm with all reductions but one, or, for
-mesh continuation, at 5 mm. The plane problem is that of the off-axis tension test.
+Each run is the full path on the hemisphere at 0° and 10 mm with all simplifications except one; for
+mesh continuation, at 5 mm. The plane problem is the off-axis tension test.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ Solve = Callable[[], qf.Result]
 
 
 def table() -> str:
-    """Markdown, one row a reduction."""
+    """A Markdown table, one row per simplification."""
     rows = []
     with TemporaryDirectory() as folder:
         for name, where, reduced, full in _pairs(Path(folder)):
             short, seconds = _timed(reduced)
             long, without = _timed(full)
             p99 = [r.quantities["shear_angle_deg"] for r in (short, long)]
-            judge = short.scene.resized(2 * short.scene.size) if short.scene.resized else None
-            if short.estimate["shear_angle_deg"] is None and judge is not None:
-                short.judge([qf.solve(judge, estimate=False)])
+            coarse = short.scene.resized(2 * short.scene.size) if short.scene.resized else None
+            if short.estimate["shear_angle_deg"] is None and coarse is not None:
+                short.judge([qf.solve(coarse, estimate=False)])
             rows.append(
                 [
                     name,
@@ -56,17 +56,17 @@ def table() -> str:
                 ]
             )
             print("; ".join(map(str, rows[-1])), flush=True)
-    head = ["reduction", "where", "s with", "s without", "ratio", "dofs", "solves"]
+    head = ["simplification", "where", "s with", "s without", "ratio", "dofs", "solves"]
     head += ["force changed %", "p99 changed °", "estimate of force %", "estimate of p99 °"]
     return (
-        "Processor times of the solve, with the reduction and without it; a ratio above 1 is time "
-        "saved.\nThe estimates are those of the mesh, for comparison.\n\n"
+        "Processor times of the solve, with the simplification and without it; a ratio above 1 is "
+        "time saved.\nThe estimates are those of the mesh, for comparison.\n\n"
         + markdown([*head, "certified"], rows)
     )
 
 
 def _pairs(folder: Path) -> list[tuple[str, str, Solve, Solve]]:
-    """(reduction, where, with it, without it)."""
+    """(simplification, where, with it, without it)."""
     here, strip = "hemisphere, 10 mm", "off-axis tension 45°, 10 mm"
 
     def path(scene: Callable[[], qf.Scene]) -> Solve:
@@ -77,7 +77,7 @@ def _pairs(folder: Path) -> list[tuple[str, str, Solve, Solve]]:
     return [
         ("plane problem", strip, path(_strip), path(_strip_in_space)),
         (
-            "the same, in-plane bending counted as left out",
+            "the same, without in-plane bending as well",
             strip,
             path(_strip),
             path(lambda: _strip_in_space(1.0)),
@@ -95,14 +95,14 @@ def _pairs(folder: Path) -> list[tuple[str, str, Solve, Solve]]:
             path(lambda: _hemisphere(symmetry="none")),
         ),
         (
-            "friction left out at zero",
+            "no friction terms at zero friction",
             here,
             path(lambda: _hemisphere(friction=0.0)),
             path(lambda: _hemisphere(friction=1e-6)),
         ),
-        ("weight of the sheet left out", here, plain, path(_with_weight)),
+        ("no weight of the sheet", here, plain, path(_with_weight)),
         ("punch in closed form", here, plain, path(lambda: qf.forming(ball, size=10.0))),
-        ("contact between nodes left out", here, plain, path(_with_mid_edges)),
+        ("contact at nodes only", here, plain, path(_with_mid_edges)),
         (
             "mesh continuation",
             "hemisphere, 5 mm",
@@ -138,7 +138,7 @@ def _with_weight() -> qf.Scene:
 
 
 def _with_mid_edges() -> qf.Scene:
-    """Contact between the nodes too, where no tool is sharp enough for it to be needed."""
+    """Contact between the nodes too, although no tool is sharp enough to need it."""
     scene = _hemisphere()
     edges = at_edges(scene.blank)
     for contact in scene.contacts:

@@ -34,15 +34,15 @@ class Problem:
     build : callable
         (size, symmetry, mesh) to a scene.
     default : (strategy, size)
-        What the command line does when nobody says.
+        The default of the command line.
     finest : float
         Size of the reference, mm; 0 where there is none.
     runs : tuple of (strategy, sizes, increments)
-        An increment of 0 leaves it to the program.
+        With an increment of 0 the program chooses it.
     charted : bool
-        Whether it has a panel; else its rows are compared with one another only.
+        Whether it has a panel; else its rows are only compared with one another.
     followed : bool
-        Whether the reference follows the full path, where mesh continuation does not get there.
+        Whether the reference takes the full path, as mesh continuation does not reach the end.
     """
 
     title: str
@@ -70,7 +70,7 @@ def _forming(name: str, travel: float) -> Callable[..., qf.Scene]:
 
 
 STRATEGIES: dict[str, tuple[str, dict[str, str], dict[str, str]]] = {
-    # name: (words, how the scene is built, how it is solved)
+    # name: (title, how the scene is built, how it is solved)
     "full path": ("full path", {}, {}),
     "continuation": ("mesh continuation", {}, {}),
     "whole": ("whole sheet, full path", {"symmetry": "none"}, {}),
@@ -118,7 +118,7 @@ PROBLEMS = {
         ("full path", 10.0),
         1.25,
         (*_PLANE, ("full path", (20.0, 10.0, 5.0), (1.0, 15.0))),
-        followed=True,  # refine at 1.25 mm: no end within minutes
+        followed=True,  # refine at 1.25 mm does not end within minutes
     ),
     "hemisphere": Problem(
         "hemisphere 0°, 75 mm",
@@ -150,7 +150,7 @@ PROBLEMS = {
 
 @dataclass(frozen=True)
 class Plan:
-    """A run to be made."""
+    """A planned run."""
 
     scene: str
     strategy: str
@@ -161,8 +161,8 @@ class Plan:
 def plans(scenes: list[str], quick: bool = False) -> list[Plan]:
     """Runs of the scenes, coarse meshes first, so that the slow ones come last.
 
-    With `quick` only those with automatic increments on meshes of 10 mm and more, the default, and
-    a reference on half its mesh.
+    With `quick` only those with automatic increments on meshes of at least 10 mm, the default, and
+    a reference of half its size.
     """
     found = []
     for name in scenes:
@@ -187,10 +187,10 @@ def plans(scenes: list[str], quick: bool = False) -> list[Plan]:
 
 
 def run(plan: Plan) -> tuple[Row, FloatArray]:
-    """Carry out a plan: its row, and shear angles (`POINTS`,) at fixed points of the flat sheet.
+    """Run a plan: its row, and shear angles (`POINTS`,) at fixed points of the flat sheet.
 
-    The error estimate of a full path, which would cost the same path on a coarser mesh, is left
-    out; with mesh continuation it comes by itself.
+    The error estimate of a full path, which would need the same path on a coarser mesh, is not
+    made; mesh continuation includes one.
     """
     problem = PROBLEMS[plan.scene]
     _, build, how = STRATEGIES[plan.strategy]
@@ -227,18 +227,18 @@ def run(plan: Plan) -> tuple[Row, FloatArray]:
 
 
 def unknowns(scene: qf.Scene) -> int:
-    """Number of the degrees of freedom that are solved for."""
+    """Number of unknowns."""
     return int((~scene.fixed).sum())
 
 
 def work(equilibria: list[Equilibrium], unit: int) -> float:
-    """Linear solves of all meshes of a run, in those of a mesh with `unit` unknowns."""
+    """Linear solves of all meshes of a run, in solves of a mesh with `unit` unknowns."""
     return sum(e.linear_solves * (unknowns(e.scene) / unit) ** GROWTH for e in equilibria)
 
 
 @contextmanager
 def counted() -> Iterator[list[Equilibrium]]:
-    """Collect the equilibria that are set up meanwhile, each with its count of linear solves."""
+    """Collect the equilibria that a run sets up, each with its count of linear solves."""
     found: list[Equilibrium] = []
     setup = Equilibrium.__post_init__
 
@@ -254,7 +254,7 @@ def counted() -> Iterator[list[Equilibrium]]:
 
 
 def sources() -> str:
-    """Version of the package with a digest of its sources: another code is another row."""
+    """Version of the package with a digest of its sources."""
     folder = Path(qf.__file__).parent
     digest = hashlib.sha256()
     for path in sorted(folder.rglob("*.py")):

@@ -17,7 +17,7 @@ from quasiform.scenes.fabric_tests import off_axis_zones
 from validation.run import Outcome
 
 LENGTH, STRIP, U_MAX = 320.0, 160.0, 80.0
-U_DIV = {45: 55.0, 30: 25.0}  # where the paper's forces leave the measured ones
+U_DIV = {45: 55.0, 30: 25.0}  # where the paper's forces diverge from the measured ones
 U_ABORT = {"best-fit": 30.0, "locking": 58.0}  # where its runs at 30° end
 LAWS = {"best-fit": SECOND, "locking": FIRST}
 NOTE = {"rotation": 90, "ha": "right", "va": "top", "fontsize": 6, "color": "0.4"}
@@ -25,17 +25,17 @@ KINEMATICS = {angle: theory.OffAxisTension(LENGTH, STRIP, np.radians(angle)) for
 
 
 def run(quick: bool) -> Outcome:
-    """Both tests with both sets to 80 mm, and the way from the forces back to the law."""
+    """Both tests with both sets to 80 mm, and the identification of the law from the forces."""
     _tension.cache_clear()
     found = _round_trip() | _at_45() | _at_30(quick)
     notes = [
-        "The identification starts from forces made with Table 1: it shows that the method returns "
-        "the law it was given, not that the law is that of the fabric.",
-        "A flagged collapse is the first triangle beyond 85°, and the run goes on; an explicit run "
-        "aborts where an element has lost its area or its stable time step, which comes later.",
+        "The identification starts from forces computed with Table 1: it shows that the method "
+        "returns this law, not that the law is that of the fabric.",
+        "A flagged collapse is the first triangle beyond 85°, and the run continues; an explicit "
+        "run aborts where an element has lost its area or its stable time step, which comes later.",
     ]
     figures = {
-        "Forces and strains in the centre (layout of Fig. 3 a); grey: the theory of inextensible "
+        "Forces and strains in the centre (layout of Fig. 3 a); grey: theory for inextensible "
         "fibres": _histories(),
         "Shear angle and transverse strain with the locking set (layout of Fig. 3 b)": _contours(),
     }
@@ -54,7 +54,7 @@ def _tension(angle: int, law: str) -> qf.Result:
 
 
 def _round_trip() -> dict[str, float]:
-    """Forces made from Table 1, the law identified from them, and the forces of that law."""
+    """Forces from Table 1, the law identified from them, and the forces of that law."""
     fabric, strip = qf.Fabric.preset("best-fit"), OffAxis()
     D, _ = strip.net.chord
     gamma = np.radians(np.linspace(0.5, 57.5, 300))
@@ -67,9 +67,9 @@ def _round_trip() -> dict[str, float]:
         ("six parameters", "fit"),
         ("as printed", "as-printed"),
     ):
-        test = ShearTest("made from Table 1", strip, Curve(force, u, None, 1e-6 * force))
+        test = ShearTest("computed from Table 1", strip, Curve(force, u, None, 1e-6 * force))
         identified = qf.identify(
-            Campaign("Table 1", fabric, (test,), method=method, standing="made up")
+            Campaign("Table 1", fabric, (test,), method=method, standing="generated")
         )
         laws[name] = identified.fabric
         off = identified.fabric.shear.stress(I6) / fabric.shear.stress(I6) - 1
@@ -177,7 +177,7 @@ def _at_30(quick: bool) -> dict[str, float]:
 
 
 def _histories() -> Figure:
-    """Forces, shear angles and strains in the centre: a row for each test."""
+    """Forces, shear angles and strains in the centre, one row per test."""
     with rc_context(STYLE):
         figure = Figure(figsize=(WIDTH, 4.6), layout="constrained")
         for panels, (angle, ideal) in zip(figure.subplots(2, 3), KINEMATICS.items(), strict=True):
@@ -209,9 +209,9 @@ def _histories() -> Figure:
     return figure
 
 
-def _mark(axes: Axes, u: float, colour: str, words: str) -> None:
+def _mark(axes: Axes, u: float, colour: str, label: str) -> None:
     axes.axvline(u, color=colour, linestyle="-.", linewidth=0.8)
-    axes.annotate(words, (u + 6, 290), **NOTE | {"color": colour})
+    axes.annotate(label, (u + 6, 290), **NOTE | {"color": colour})
 
 
 def _contours() -> Figure:
@@ -241,9 +241,9 @@ def _contours() -> Figure:
                 axes.set(xticks=[], yticks=[])
                 axes.spines[:].set_visible(False)
             panels[row, 0].set_ylabel(f"{angle}°, u = {u:g} mm")
-        for column, words in enumerate(("shear angle |γ| in °", "transverse strain E22")):
+        for column, label in enumerate(("shear angle |γ| in °", "transverse strain E22")):
             place = {"location": "bottom", "shrink": 0.7, "aspect": 30}
             figure.colorbar(
-                drawn[column], ax=panels[:, column], label=words, extend="both", **place
+                drawn[column], ax=panels[:, column], label=label, extend="both", **place
             )
     return figure

@@ -1,4 +1,4 @@
-"""Quarter, half and whole sheet give one answer as long as the sheet keeps the symmetry."""
+"""Quarter, half and whole sheet give the same result as long as the sheet is symmetric."""
 
 import numpy as np
 

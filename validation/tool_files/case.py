@@ -1,4 +1,4 @@
-"""Punches from surface files against the same punches in closed form."""
+"""Punches from surface files compared with the same punches in closed form."""
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -54,7 +54,7 @@ def _near(shape: Rounded) -> np.ndarray:
 
 
 def _with_file(name: str, path: Path) -> str:
-    """Write the scene with its punch from a file beside the punch; its path."""
+    """Write the scene with its punch from a file, next to that file; its path."""
     text = (scene_file.FOLDER / f"{name}.toml").read_text(encoding="utf-8")
     head, rest = text.split("[tools.punch]\n")
     _, rest = rest.split("[tools.die]", 1)
@@ -81,7 +81,7 @@ def _write(name: str, shape: Rounded, path: Path) -> None:
         box = occ.addBox(*low, *(high - low))
         _fillet(box, r, top=high[2])
     else:
-        # the sharp corners are where the faces, moved out again by the radius, meet
+        # sharp corners: the faces, moved out again by the radius, meet there
         _fillet(_solid(_grown(core, r)), r, top=np.inf)
     occ.synchronize()
     gmsh.option.setNumber("Mesh.MeshSizeFromCurvature", 120)
@@ -92,7 +92,7 @@ def _write(name: str, shape: Rounded, path: Path) -> None:
 
 
 def _grown(core: np.ndarray, r: float) -> np.ndarray:
-    """Corners of a solid whose faces stand off those of `core` by r."""
+    """Corners of a solid with the faces of `core` moved outwards by r."""
     from scipy.spatial import ConvexHull, HalfspaceIntersection
 
     faces = ConvexHull(core).equations - np.array([0.0, 0.0, 0.0, r])
@@ -115,7 +115,7 @@ def _solid(corners: np.ndarray) -> int:
 
 
 def _fillet(volume: int, r: float, top: float) -> None:
-    """Fillet all edges of a volume but those of its top face."""
+    """Fillet all edges of a volume except those of its top face."""
     occ = gmsh.model.occ
     occ.synchronize()
     edges = [tag for _, tag in occ.getEntities(1) if occ.getBoundingBox(1, tag)[2] < top - 1.0]
