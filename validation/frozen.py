@@ -8,6 +8,9 @@ The runs are the six forming scenes (hemisphere, tetrahedron and box at 0 and 45
 ends with status 1 if a number of a run without a snap differs by more than 1e-9: a change of the
 code that should not change results has changed them. Runs with a snap are listed but not judged.
 
+The files may also be the `report.json` of two validation runs. Their rows are then compared by
+position; a difference is relative to the computed or the reference value, whichever is larger.
+
 Only the public interface is used. As a script (`python validation/frozen.py write FILE.json`) the
 file also runs with an older installed version.
 """
@@ -62,6 +65,25 @@ def frozen(result: Any) -> dict[str, Any]:
     return {"history": history, "quantities": numbers, "snaps": len(result.snaps)}
 
 
+def read(path: Path) -> dict[str, dict[str, Any]]:
+    """Frozen runs of a file, or the rows of a `report.json` in the same form, without times."""
+    content = json.loads(path.read_text())
+    if "cases" not in content:
+        return content
+    return {
+        case["name"]: {
+            "history": {},
+            "quantities": {
+                f"row {i}": [row["computed"] or 0.0, row["reference"] or 0.0]
+                for i, row in enumerate(case["rows"], 1)
+                if row["unit"] != "s"
+            },
+            "snaps": 0,
+        }
+        for case in content["cases"]
+    }
+
+
 def difference(a: Any, b: Any) -> float:
     """Largest |a - b| relative to the largest |a|; infinite where the two cannot be compared."""
     a, b = np.atleast_1d(np.array(a, float)), np.atleast_1d(np.array(b, float))
@@ -106,7 +128,7 @@ def main(argv: list[str] | None = None) -> int:
     against.add_argument("b", type=Path)
     given = parser.parse_args(argv)
     if given.command == "compare":
-        return compare(*(json.loads(path.read_text()) for path in (given.a, given.b)))
+        return compare(read(given.a), read(given.b))
     if unknown := set(given.runs) - RUNS.keys():
         parser.error(f"unknown run {', '.join(sorted(unknown))}; expected {', '.join(RUNS)}")
     done = {}

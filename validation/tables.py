@@ -1,8 +1,9 @@
-"""Read a CSV file into checked rows; every error is one line with file, row, column and value."""
+"""CSV files as checked rows (errors in one line), and Markdown tables."""
 
 from __future__ import annotations
 
 import csv
+from collections.abc import Iterable, Sequence
 from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import TypeVar
@@ -72,3 +73,13 @@ def _reason(error: ValidationError) -> str:
         context.get("expected") or context.get("error") or first["msg"]
     )
     return f"column {first['loc'][0]}: {first['input']!r}, expected {expected}"
+
+
+def markdown_table(head: Sequence[object], rows: Iterable[Sequence[object]]) -> str:
+    """A Markdown table."""
+    lines = [head, ["-"] * len(head), *rows]
+    return "\n".join("|" + "|".join(f" {_cell(c)} " for c in line) + "|" for line in lines)
+
+
+def _cell(content: object) -> str:
+    return str(content).replace("|", "\\|").replace("\n", " ")

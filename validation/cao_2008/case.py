@@ -51,7 +51,7 @@ def run(quick: bool) -> Outcome:
     end = qf.solve(scene, estimate=False)
     bound = ANGLE_TEST.energy(at, fabric.shear.energy, THICKNESS)
     stored = end.scene.membrane.energy(end.states[-1].x).sum()
-    found[f"energy over that of the uniform bands u={at:g}"] = stored / bound
+    found[f"energy divided by that of the uniform bands u={at:g}"] = stored / bound
     figure = _figure(curves, u, gamma)
     return Outcome(
         found,

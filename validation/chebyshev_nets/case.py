@@ -125,7 +125,7 @@ def run(quick: bool) -> Outcome:
     found, errors = {}, {}
     worst, errors["plane"], largest = _planar()
     found["plane: largest error"] = worst
-    found["plane: order"] = _order(errors["plane"])
+    found["plane: order of convergence"] = _order(errors["plane"])
     found["plane: largest shear"] = largest
     for name, (shape, half) in SURFACES.items():
         node = _net_of_rods(shape, STRETCH * half)
@@ -134,7 +134,7 @@ def run(quick: bool) -> Outcome:
             a = np.linspace(0.0, half, 30)
             ode = np.degrees(theory.hemisphere_net(a[:, None], a, 75.0))
             off = np.abs(net((a[:, None], a)) - ode).max()
-            found["net of rods against the equation on the sphere"] = off
+            found["net of rods: largest deviation from the equation on the sphere"] = off
         worst, rms = [], []
         for size in SIZES:
             at, gamma = _draped(shape, half, size, node)
@@ -147,7 +147,7 @@ def run(quick: bool) -> Outcome:
             rms.append(np.sqrt(np.mean(off**2)))
         found[f"{name}: largest error"] = worst[-1]
         errors[name] = rms
-        found[f"{name}: order"] = _order(rms)
+        found[f"{name}: order of convergence"] = _order(rms)
         found[f"{name}: largest shear"] = np.abs(exact).max()
     return Outcome(found, {"Error of the shear angle over the size of the mesh": _figure(errors)})
 

@@ -39,23 +39,23 @@ def values() -> dict[str, float]:
         for k in (1, 2, 5, 10):
             u, w = theory.tip_loaded_elastica(k)
             end = _tip(_tip_loaded(k * B / LENGTH**2, 5.0, family))
-            found[f"tip-loaded, {family}, k={k}: u"] = (1 - end[0]) / u
-            found[f"tip-loaded, {family}, k={k}: w"] = end[1] / w
+            found[f"tip-loaded, {family}, k={k}: shortening / exact"] = (1 - end[0]) / u
+            found[f"tip-loaded, {family}, k={k}: deflection / exact"] = end[1] / w
         for k in (1, 2, 8, 10):
             x, drop, slope = theory.heavy_elastica(k)
             end = _tip(_heavy(k * B / LENGTH**3, 5.0, family))
-            found[f"heavy, {family}, k={k}: x"] = end[0] / x
-            found[f"heavy, {family}, k={k}: drop"] = end[1] / drop
-            found[f"heavy, {family}, k={k}: slope"] = np.degrees(end[2] - slope)
+            found[f"heavy, {family}, k={k}: x of the end / exact"] = end[0] / x
+            found[f"heavy, {family}, k={k}: drop of the end / exact"] = end[1] / drop
+            found[f"heavy, {family}, k={k}: deviation of the slope"] = np.degrees(end[2] - slope)
     B = fabric.bending_warp
     u, w = theory.tip_loaded_elastica(5)
     ends = [_tip(_tip_loaded(5 * B / LENGTH**2, size, "warp")) for size in SIZES]
-    found["tip-loaded, k=5: order of w"] = _order([end[1] - w for end in ends])
+    found["tip-loaded, k=5: order of the deflection"] = _order([end[1] - w for end in ends])
     x, drop, _ = theory.heavy_elastica(8)
     ends = [_tip(_heavy(8 * B / LENGTH**3, size, "warp")) for size in SIZES]
     found["heavy, k=8: order of the drop"] = _order([end[1] - drop for end in ends])
     peirce = np.degrees(np.arctan2(ends[-1][1], ends[-1][0]))
-    found["Peirce's chord at k=8"] = peirce - np.degrees(np.arctan2(drop, x))
+    found["deviation from Peirce's chord angle at k=8"] = peirce - np.degrees(np.arctan2(drop, x))
     return found
 
 

@@ -33,6 +33,6 @@ def values() -> dict[str, float]:
                 counts.append(len(scene.blank.triangles))
             case = f"{angle} deg, {round(counts[0], -3)} triangles"
             found[f"{case}: largest deviation"] = worst[0]
-            found[f"{case}: largest of five meshes"] = max(worst)
-            found[f"{case}: smallest of five meshes"] = min(worst)
+            found[f"{case}: largest deviation of five meshes"] = max(worst)
+            found[f"{case}: smallest deviation of five meshes"] = min(worst)
     return found

@@ -8,7 +8,7 @@ from quasiform import theory
 
 def values() -> dict[str, float]:
     """Largest deviation on the bias line, colatitude to 60 degrees, at two sizes."""
-    return {f"bias line, size {size}": _deviation(size) for size in (10, 5)}
+    return {f"largest error on the bias line, size {size}": _deviation(size) for size in (10, 5)}
 
 
 def _deviation(size: float) -> float:

@@ -24,13 +24,15 @@ def values() -> dict[str, float]:
                 for increment in (2.0, 5.0, 10.0)
             ]
             p99 = [percentile(np.abs(r.shear_angle), r.blank.areas, 0.99) for r in runs]
-            found[f"least travel, {case}"] = min(run.states[-1].travel for run in runs)
-            found[f"spread of p99, {case}"] = max(p99) - min(p99)
+            found[f"smallest travel reached, {case}"] = min(run.states[-1].travel for run in runs)
+            found[f"spread of the 99th percentile, {case}"] = max(p99) - min(p99)
             found[f"largest residual, {case}"] = max(run.residual for run in runs)
             found[f"negative pivots, {case}"] = max(run.negative_pivots for run in runs)
-            found[f"energy balance to 5 mm, {case}"] = max(r.energy_balance for r in runs[:2])
-            found[f"p99, {case}"] = p99[1]
-            found[f"linear solves at 5 mm, {case}"] = runs[1].linear_solves
+            found[f"energy balance with increments to 5 mm, {case}"] = max(
+                r.energy_balance for r in runs[:2]
+            )
+            found[f"99th percentile, {case}"] = p99[1]
+            found[f"linear solves with increments of 5 mm, {case}"] = runs[1].linear_solves
 
     # three ways to the same state, with residuals far below the tolerances
     whole, turned, quarter = (
@@ -41,7 +43,11 @@ def values() -> dict[str, float]:
         )
         for symmetry, turn in (("none", 0.0), ("none", 30.0), ("auto", 0.0))
     )
-    found["turned by 30 deg: force"] = abs(turned.force / whole.force - 1)
-    found["turned by 30 deg: shear"] = np.abs(turned.shear_angle - whole.shear_angle).max()
-    found["quarter: force"] = abs(quarter.force / whole.force - 1)
+    found["rotated by 30 deg: relative difference of the force"] = abs(
+        turned.force / whole.force - 1
+    )
+    found["rotated by 30 deg: largest difference of the shear angle"] = np.abs(
+        turned.shear_angle - whole.shear_angle
+    ).max()
+    found["quarter: relative difference of the force"] = abs(quarter.force / whole.force - 1)
     return found

@@ -23,7 +23,7 @@ def values() -> dict[str, float]:
         u, force = _by_balance(strip, fabric, gamma)
         for name, method in (("energy method", "table"), ("six parameters", "fit")):
             errors = _errors(strip, fabric, u, force, method, np.degrees(gamma[-1]))
-            found[f"{name}, {law}, noise: seeds within the bar"] = 100 * np.mean(
+            found[f"{name}, {law}, noise: seeds within the limit"] = 100 * np.mean(
                 errors <= (3.0 if method == "table" else 2.0)
             )
             found[f"{name}, {law}, noise: largest error"] = errors.max()
@@ -70,7 +70,7 @@ def _inverse(law: str, fabric: qf.Fabric) -> dict[str, float]:
     top = strip.net.angles(18.0)[0]
     gamma = np.radians(np.linspace(2.0, np.degrees(top), ROWS))
     u, balance = _by_balance(strip, fabric, gamma)
-    for mesh, size in (("its own mesh", 14.0), ("a finer mesh", FINE)):
+    for mesh, size in (("data from the same mesh", 14.0), ("data from a finer mesh", FINE)):
         scene = qf.off_axis_tension(30.0, fabric, displacement=18.0, size=size)
         history = qf.solve(scene, increment=0.3, estimate=False, tolerance=1e-5).history
         at, force = history["displacement_mm"][1:], history["force_N"][1:]
@@ -82,9 +82,9 @@ def _inverse(law: str, fabric: qf.Fabric) -> dict[str, float]:
         found[f"inverse, {law}, {mesh}, no noise"] = _error(clean, fabric, gamma[-1])
         if size == FINE:
             continue
-        found[f"inverse, {law}: seconds"] = seconds
+        found[f"inverse, {law}: time"] = seconds
         errors = _errors(strip, fabric, u, forces, "inverse", np.degrees(top))
-        found[f"inverse, {law}, noise: seeds within the bar"] = 100 * np.mean(errors <= 3.0)
+        found[f"inverse, {law}, noise: seeds within the limit"] = 100 * np.mean(errors <= 3.0)
         found[f"inverse, {law}, noise: largest error"] = errors.max()
     return found
 
@@ -99,7 +99,7 @@ def _as_printed() -> dict[str, float]:
     found = {}
     for angle in (2, 10, 20, 40, 57):
         I6 = np.sin(np.radians([float(angle)]))
-        found[f"as printed, {angle}°"] = float(
+        found[f"change of S12 by Eq. 10 as printed, {angle}°"] = float(
             100 * (curve.stress(I6) / fabric.shear.stress(I6) - 1)[0]
         )
     return found

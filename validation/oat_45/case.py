@@ -35,7 +35,9 @@ def values() -> dict[str, float]:
             for zone in ("warp free", "weft free"):
                 weight = np.where(zones[zone], result.blank.areas, 0.0)
                 side.append(weight @ result.shear_angles(i) / weight.sum() - phi_a)
-        found[f"centre angle against theory, {law}"] = np.abs(angle).max()
-        found[f"force against theory, {law}"] = np.abs(force).max()
-        found[f"side zones against half the angle, {law}"] = np.abs(side).max()
+        found[f"largest deviation of the centre angle from theory, {law}"] = np.abs(angle).max()
+        found[f"largest deviation of the force from theory, {law}"] = np.abs(force).max()
+        found[f"largest deviation of the side zones from half the angle, {law}"] = np.abs(
+            side
+        ).max()
     return found

@@ -18,6 +18,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
+from ..tables import markdown_table
 from .contest import Row, rows
 
 PEERS = {
@@ -54,28 +55,21 @@ def compare(
     return table
 
 
-def table_lines(table: Sequence[Row]) -> list[str]:
-    """Format rows as a Markdown table."""
-    lines = [
-        "| problem | code | increments | solves | value | angle, ° | solve, s | process, s "
-        "| processors, s | ratio to quasiform | each at its best |",
-        "|-|-|-|-|-|-|-|-|-|-|-|",
-    ]
+def table_text(table: Sequence[Row]) -> str:
+    """Rows as a Markdown table."""
+    head = ["problem", "code", "increments", "solves", "value", "angle, °", "solve, s"]
+    head += ["process, s", "processors, s", "ratio to quasiform", "each at its best"]
+    lines = []
     for row in table:
-        answer = row.answer
-        begin = f"| {row.problem} | {row.code} | {row.setting} |"
+        answer, first = row.answer, [row.problem, row.code, row.setting]
         if answer.failed:
-            lines.append(f"{begin} | failed: {answer.failed} | | | | | | |")
+            lines.append([*first, f"failed: {answer.failed}", *[""] * (len(head) - 4)])
             continue
         value = f"{answer.value:.5g} ({row.quantity})" + ("" if row.agrees else " DISAGREES")
-        ratio, best = (
-            "" if number is None else f"{number:.2f}" for number in (row.ratio, row.best_ratio)
-        )
-        lines.append(
-            f"{begin} {answer.iterations} | {value} | {answer.angle:.2f} | {row.solve_s:.3g} "
-            f"| {row.whole_s:.3g} | {row.processor_s:.3g} | {ratio} | {best} |"
-        )
-    return lines
+        times = [f"{time:.3g}" for time in (row.solve_s, row.whole_s, row.processor_s)]
+        ratios = ["" if r is None else f"{r:.2f}" for r in (row.ratio, row.best_ratio)]
+        lines.append([*first, answer.iterations, value, f"{answer.angle:.2f}", *times, *ratios])
+    return markdown_table(head, lines)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -87,7 +81,7 @@ def main(arguments: list[str] | None = None) -> int:
     if unknown := set(given.peers) - set(PEERS):
         parser.error(f"unknown peer {', '.join(sorted(unknown))}: expected {', '.join(PEERS)}")
     table = compare(given.peers or tuple(PEERS), max(given.repeats, 1))
-    print("\n".join(["", *table_lines(table)]))
+    print(f"\n{table_text(table)}")
     if given.json:
         given.json.write_text(json.dumps([asdict(row) for row in table], indent=1), "utf-8")
     return 0 if all(row.agrees for row in table) else 1

@@ -20,6 +20,8 @@ def _differ(name: str, scene: Callable[[], qf.Scene], increment: float) -> dict[
         for method in ("newton", "relaxation")
     )
     return {
-        f"force, {name}": 100 * abs(relaxed.force / newton.force - 1),
-        f"shear angle, {name}": np.abs(relaxed.shear_angle - newton.shear_angle).max(),
+        f"difference of the force, {name}": 100 * abs(relaxed.force / newton.force - 1),
+        f"difference of the shear angle, {name}": np.abs(
+            relaxed.shear_angle - newton.shear_angle
+        ).max(),
     }

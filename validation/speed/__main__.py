@@ -22,8 +22,9 @@ from pathlib import Path
 
 import numpy as np
 
+from ..tables import markdown_table
 from . import chart, reductions, scale
-from .rows import GAIN, REFERENCE, Row, expected_seconds, judged, markdown, pareto, read, write
+from .rows import GAIN, REFERENCE, Row, expected_seconds, judged, pareto, read, write
 from .runs import PROBLEMS, STRATEGIES, Plan, plans, run, sources
 
 
@@ -149,7 +150,7 @@ def _report(rows: list[Row]) -> str:
             "certified",
         ]
         notes = "\n".join([*_default(own), *_estimates(own), *_ratios(own)])
-        parts.append(f"## {problem.title}\n\n{markdown(head, table)}\n\n{notes}")
+        parts.append(f"## {problem.title}\n\n{markdown_table(head, table)}\n\n{notes}")
     return "\n\n".join(parts)
 
 

@@ -14,6 +14,8 @@ import time
 
 import numpy as np
 import pyamg
+from rich.console import Console
+from rich.table import Table
 from scipy.sparse import csr_array, diags_array
 from scipy.sparse.linalg import cg
 
@@ -26,13 +28,14 @@ TRAVEL = 40.0  # mm of the hemisphere, whole sheet
 
 
 def main(sizes: list[float]) -> None:
-    """Print one row per solver."""
-    print("| triangles | unknowns | solver | factor or set-up, s | solution, s | iterations |")
-    print("|-|-|-|-|-|-|")
+    """Print a table with one row per solver."""
+    table = Table("triangles", "unknowns", "solver", "factor or set-up, s", "solution, s")
+    table.add_column("iterations")
     for size in sizes:
         result = qf.refine(qf.forming("hemisphere", size=size, travel=TRAVEL, symmetry="none"))
         for row in rows(result):
-            print("| " + " | ".join(row) + " |", flush=True)
+            table.add_row(*row)
+    Console().print(table)
 
 
 def rows(result: qf.Result) -> list[tuple[str, ...]]:

@@ -21,7 +21,7 @@ from quasiform.energy.friction import Friction
 from quasiform.energy.membrane import Membrane
 from quasiform.scenes import scene_file
 
-from .rows import markdown
+from ..tables import markdown_table
 
 Solve = Callable[[], qf.Result]
 
@@ -61,7 +61,7 @@ def table() -> str:
     return (
         "Processor times of the solve, with the simplification and without it; a ratio above 1 is "
         "time saved.\nThe estimates are those of the mesh, for comparison.\n\n"
-        + markdown([*head, "certified"], rows)
+        + markdown_table([*head, "certified"], rows)
     )
 
 

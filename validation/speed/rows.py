@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 
 import numpy as np
+from pydantic.dataclasses import dataclass as checked
 
 from quasiform.result.measures import discretisation_error
+
+from ..bands import OptionalNumber
+from ..tables import read_table
 
 FloatArray = np.ndarray
 REFERENCE = "reference"
@@ -17,7 +21,7 @@ GAIN = 0.02  # part by which an error must decrease to count; less is the solver
 GROWTH = 6.0  # of the work when the size is halved: four times the unknowns, to the power of 1.25
 
 
-@dataclass(frozen=True)
+@checked(frozen=True)
 class Row:
     """One run.
 
@@ -65,12 +69,12 @@ class Row:
     force: float
     p99: float
     certified: str
-    estimate: float | None
-    estimate_force: float | None
+    estimate: OptionalNumber
+    estimate_force: OptionalNumber
     version: str
-    error: float | None = None
-    error_force: float | None = None
-    error_field: float | None = None
+    error: OptionalNumber = None
+    error_force: OptionalNumber = None
+    error_field: OptionalNumber = None
 
     @property
     def key(self) -> tuple[str, str, float, float, str]:
@@ -187,22 +191,4 @@ def read(path: Path) -> list[Row]:
     """Read `rows.csv`; empty if it does not exist."""
     if not path.exists():
         return []
-    text = {"scene", "strategy", "certified", "version"}
-    with path.open(newline="", encoding="utf-8") as file:
-        return [
-            Row(
-                **{
-                    name: value
-                    if name in text
-                    else (int(value) if name == "dofs" else float(value) if value else None)
-                    for name, value in entry.items()
-                }
-            )
-            for entry in csv.DictReader(file)
-        ]
-
-
-def markdown(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """A Markdown table."""
-    lines = [head, ["-"] * len(head), *rows]
-    return "\n".join("|" + "|".join(f" {cell} " for cell in line) + "|" for line in lines)
+    return read_table(path, Row, keyed=False)

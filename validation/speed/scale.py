@@ -10,7 +10,7 @@ import time
 
 import numpy as np
 
-from .rows import markdown
+from ..tables import markdown_table
 
 SIZES = (2.2, 1.1, 0.55)  # mm: about 10 000, 40 000 and 160 000 triangles of a quarter
 LONGEST = 480.0  # s: the last one is skipped if the one before took longer
@@ -40,7 +40,7 @@ def table() -> str:
     slope = np.polyfit(*(np.log([run[key] for run in runs]) for key in ("dofs", "seconds")), 1)[0]
     return (
         "Hemisphere 0°, a quarter as the scene models it, mesh continuation; each row in its "
-        f"own process, memory with Python and its imports.\n\n{markdown(head, cells)}\n\n"
+        f"own process, memory with Python and its imports.\n\n{markdown_table(head, cells)}\n\n"
         f"Time grows with the unknowns to the power {slope:.2f}. {note}".rstrip()
     )
 

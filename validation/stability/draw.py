@@ -11,6 +11,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.patches import Rectangle
 
+from ..tables import markdown_table
 from .cells import Solved, key
 from .judge import Bar, Contradiction, Map, errors, is_right
 from .scenes import CASES
@@ -179,16 +180,6 @@ def picture(cells: Map, against: Sequence[Contradiction], path: Path) -> None:
     plt.close(figure)
 
 
-def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """A Markdown table."""
-    lines = [head, ["-"] * len(head), *rows]
-    return "\n".join("|" + "|".join(f" {_cell(c)} " for c in line) + "|" for line in lines)
-
-
-def _cell(content: object) -> str:
-    return str(content).replace("|", "\\|").replace("\n", " ")
-
-
 def report(
     cells: Map,
     used: Mapping[Cell, Solved],
@@ -209,7 +200,7 @@ def report(
         + ".",
         "![map](map.png)",
         "## Requirements",
-        table(
+        markdown_table(
             ["requirement", "result", ""],
             [[bar.name, bar.found, "met" if bar.met else "**not met**"] for bar in bars],
         ),
@@ -228,7 +219,7 @@ def report(
     ]
     warned = Counter(w for solved in used.values() for w in solved.warned)
     if warned:
-        parts += ["## Warnings", table(["warning", "cells"], warned.most_common())]
+        parts += ["## Warnings", markdown_table(["warning", "cells"], warned.most_common())]
     return "\n\n".join(parts) + "\n"
 
 
@@ -241,7 +232,7 @@ def _not_arrived(cells: Map) -> str:
     refused = Counter(s.reason for s in cells.values() if CASES[s.scene].refused and s.reason)
     notes = [f"Refused, as required ({n} cells): {reason}." for reason, n in refused.items()]
     head = ["scene", "setting", "outcome", "reached", "reason", "rescues"]
-    return "\n\n".join([table(head, rows) if rows else "None.", *notes])
+    return "\n\n".join([markdown_table(head, rows) if rows else "None.", *notes])
 
 
 def _reach(solved: Solved) -> str:
@@ -261,7 +252,7 @@ def _certificates(cells: Map) -> str:
         if solved.outcome == "completed" and solved.certified != "yes"
     ]
     text = f"{certified} of {len(completed)} completed cells are certified."
-    return f"{text}\n\n{table(['scene', 'setting', 'why not'], rows)}" if rows else text
+    return f"{text}\n\n{markdown_table(['scene', 'setting', 'why not'], rows)}" if rows else text
 
 
 def _contradictions(against: Sequence[Contradiction]) -> str:
@@ -270,7 +261,7 @@ def _contradictions(against: Sequence[Contradiction]) -> str:
     rows = [
         [c.cell.scene, describe(c.cell.setting), describe(c.check.setting), str(c)] for c in against
     ]
-    return table(["scene", "cell", "contradicting solve", "worst average"], rows)
+    return markdown_table(["scene", "cell", "contradicting solve", "worst average"], rows)
 
 
 def _rescues(cells: Map) -> str:
@@ -281,7 +272,7 @@ def _rescues(cells: Map) -> str:
     if not total:
         return "None."
     rows = [[rung, in_cells[rung], count] for rung, count in total.most_common()]
-    return table(["rung", "cells", "times"], rows)
+    return markdown_table(["rung", "cells", "times"], rows)
 
 
 def _wrinkles(used: Mapping[Cell, Solved]) -> str:
@@ -324,7 +315,7 @@ def _wrinkles(used: Mapping[Cell, Solved]) -> str:
         certified = sum(solved.certified == "yes" for solved in perturbed)
         parts.append(
             f"**{CASES[scene].title}**: {certified} of {len(perturbed)} certified\n\n"
-            f"{table(head, rows)}"
+            f"{markdown_table(head, rows)}"
         )
     return "\n\n".join(parts)
 
@@ -334,4 +325,4 @@ def _errors(cells: Map, used: Mapping[Cell, Solved]) -> str:
     for scene in dict.fromkeys(scene for scene, _ in cells):
         for (size, name), (error, origin) in sorted(errors(scene, used).items()):
             rows.append([scene, size, name, f"{error:.3g}", origin])
-    return table(["scene", "size", "average", "error", "from"], rows)
+    return markdown_table(["scene", "size", "average", "error", "from"], rows)

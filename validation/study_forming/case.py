@@ -1,6 +1,5 @@
 """Numerical study 2 of Schäfer et al. (Fig. 4): three punches, two fibre orientations."""
 
-import csv
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +16,9 @@ from quasiform.energy.bending import Bending
 from quasiform.result.measures import disc, percentile
 from quasiform.scenes import scene_file
 from quasiform.tools.shapes import flipped, round_opening, round_punch
+from validation.bands import Measured
 from validation.run import Outcome
+from validation.tables import read_table
 
 SHAPES, ORIENTATIONS = ("hemisphere", "tetrahedron", "box"), (0, 45)
 SIZE, COARSE = 5.0, 10.0  # mm
@@ -81,21 +82,19 @@ def run(quick: bool) -> Outcome:
 
 def measured_areas() -> dict[str, float]:
     """Measured mean shear angles by the name of their row, as far as they are known."""
-    with MEASURED.open(newline="", encoding="utf-8") as file:
-        return {
-            row["name"]: float(row["value"]) for row in csv.DictReader(file) if row["value"].strip()
-        }
+    rows = read_table(MEASURED, Measured)
+    return {row.name: row.value for row in rows if row.value is not None}
 
 
 def _numbers(result: qf.Result, quick: bool) -> dict[str, float]:
     """Numbers of a configuration."""
     gamma, blank = np.abs(result.shear_angle), result.blank
     found = {
-        "reached": result.states[-1].travel,
+        "travel reached": result.states[-1].travel,
         "force": result.force,
         "largest angle": gamma.max(),
         "99th percentile": percentile(gamma, blank.areas, 0.99),
-        "place of the highest shear, off the bias of the fibres": _off_bias(result),
+        "angle between the highest shear and the bias of the fibres": _off_bias(result),
     }
     if not quick:
         found["size of the mesh at the end"] = result.scene.size
@@ -106,8 +105,8 @@ def _numbers(result: qf.Result, quick: bool) -> dict[str, float]:
     found |= {f"measured mean angle, {name}": value for name, value in result.areas.items()}
     found |= {f"measured draw-in {side}": value for side, value in result.draw_in.items()}
     bend = result.wrinkles["largest_curvature_1_per_mm"]
-    found["largest curvature over that of the sharpest tool"] = bend * _mid(result.scene)
-    found["lift of the sheet off the die's face"] = result.wrinkles["flange_lift_mm"]
+    found["largest curvature divided by that of the sharpest tool"] = bend * _mid(result.scene)
+    found["lift of the flange above the die's face"] = result.wrinkles["flange_lift_mm"]
     return found
 
 
@@ -142,10 +141,10 @@ def _box(result: qf.Result, orientation: int) -> dict[str, float]:
     reach = np.abs(scene.to_user(place[:, :2])).max(1)
     touched = sum(contact.nodal_force(end) for contact in scene.contacts)[at] > 0
     gap = ~touched & (reach < OPENING) & (place[:, 2] < 0)
-    found["largest curvature in the gap over that of the sharpest tool"] = bend[gap].max() * _mid(
-        scene
-    )
-    found["place of the largest curvature, from the middle"] = reach[bend.argmax()]
+    found["largest curvature in the gap divided by that of the sharpest tool"] = bend[
+        gap
+    ].max() * _mid(scene)
+    found["position of the largest curvature, from the middle"] = reach[bend.argmax()]
     return found
 
 
@@ -213,7 +212,7 @@ def _changes() -> dict[str, tuple[dict[str, float], dict[str, float]]]:
     runs["compaction"] = lambda factor: quantities(
         _hemisphere(), replace(fabric, compaction=factor * fabric.compaction)
     )
-    runs["place of the areas"] = lambda factor: _shown(base, factor)
+    runs["position of the areas"] = lambda factor: _shown(base, factor)
     return {
         name: tuple(
             {key: 100 * (value / reference[key] - 1) for key, value in of(factor).items()}

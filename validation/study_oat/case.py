@@ -74,7 +74,7 @@ def _round_trip() -> dict[str, float]:
         laws[name] = identified.fabric
         off = identified.fabric.shear.stress(I6) / fabric.shear.stress(I6) - 1
         if name != "as printed":
-            found[f"round trip, {name}: largest error of S12 from 2 to 57 deg"] = (
+            found[f"identified again, {name}: largest error of S12 from 2 to 57 deg"] = (
                 100 * np.abs(off).max()
             )
     for name, law in laws.items():
@@ -82,10 +82,10 @@ def _round_trip() -> dict[str, float]:
         made = np.interp(history["displacement_mm"][1:], u, force)
         off = 100 * (history["force_N"][1:] / made - 1)
         if name == "as printed":
-            found["as printed: elements over the forces it came from, least"] = off.min()
-            found["as printed: elements over the forces it came from, most"] = off.max()
+            found["Eq. 10 as printed: smallest deviation of the force"] = off.min()
+            found["Eq. 10 as printed: largest deviation of the force"] = off.max()
         else:
-            found[f"round trip, {name}: force of the elements to u=45"] = np.abs(off).max()
+            found[f"identified again, {name}: force of the elements to u=45"] = np.abs(off).max()
     return found
 
 
@@ -99,11 +99,13 @@ def _at_45() -> dict[str, float]:
         exact = ideal.force(u[to_45], fabric.shear.stress, fabric.thickness)
         gamma = np.degrees(ideal.angles(u[to_45])[0])
         centre = history["shear_angle_center_deg"]
-        found[f"45 deg, {law}: reached"] = u[-1]
-        found[f"45 deg, {law}: force to u=45"] = np.abs(
+        found[f"45 deg, {law}: displacement reached"] = u[-1]
+        found[f"45 deg, {law}: largest deviation of the force to u=45"] = np.abs(
             100 * (history["force_N"][to_45] / exact - 1)
         ).max()
-        found[f"45 deg, {law}: centre angle to u=45"] = np.abs(centre[to_45] - gamma).max()
+        found[f"45 deg, {law}: largest deviation of the centre angle to u=45"] = np.abs(
+            centre[to_45] - gamma
+        ).max()
         kinematic = np.degrees(ideal.angles(u[to_30])[0])
         found[f"45 deg, {law}: centre angle follows the kinematics to u=30"] = np.abs(
             centre[to_30] - kinematic
@@ -111,7 +113,7 @@ def _at_45() -> dict[str, float]:
         for at in (50, 55, 58):
             found[f"45 deg, {law}: force u={at}"] = history["force_N"][at]
         found[f"45 deg, {law}: centre angle u=80"] = centre[-1]
-        found[f"45 deg, {law}: E22 u=55"] = abs(history["E22_center"][55])
+        found[f"45 deg, {law}: transverse strain E22 u=55"] = abs(history["E22_center"][55])
         found[f"45 deg, {law}: first triangle beyond 85 deg"] = (
             result.collapse["travel_mm"] if result.collapse else np.inf
         )
@@ -123,7 +125,7 @@ def _at_45() -> dict[str, float]:
     found["45 deg: displacement where locking passes best-fit"] = beyond - stiffer[beyond] / (
         stiffer[beyond] - stiffer[beyond - 1]
     )
-    found["45 deg, u=65: angle of locking over that of best-fit"] = (
+    found["45 deg, u=65: centre angle with locking divided by that with best-fit"] = (
         locking["shear_angle_center_deg"][65] / best["shear_angle_center_deg"][65]
     )
     del found["45 deg, locking: first triangle beyond 85 deg"]  # none to 80 mm
@@ -138,16 +140,16 @@ def _at_30(quick: bool) -> dict[str, float]:
         history = result.history
         centre, largest = history["shear_angle_center_deg"], history["shear_angle_max_deg"]
         flagged = result.collapse["travel_mm"]
-        found[f"30 deg, {law}: reached"] = history["displacement_mm"][-1]
-        found[f"30 deg, {law}: first triangle beyond 85 deg, not after the abort"] = flagged
-        found[f"30 deg, {law}: first triangle beyond 85 deg, not before the exact net"] = flagged
+        found[f"30 deg, {law}: displacement reached"] = history["displacement_mm"][-1]
+        for bound in ("not after the abort", "not before the limit of inextensible fibres"):
+            found[f"30 deg, {law}: first triangle beyond 85 deg, {bound}"] = flagged
         found[f"30 deg, {law}: largest angle at the abort"] = largest[round(U_ABORT[law])]
         found[f"30 deg, {law}: centre angle at the abort"] = centre[round(U_ABORT[law])]
         found[f"30 deg, {law}: fibre strain E11 in the centre at the abort"] = history[
             "E11_center"
         ][round(U_ABORT[law])]
         found[f"30 deg, {law}: force u=25"] = history["force_N"][25]
-        found[f"30 deg, {law}: E22 u=25"] = abs(history["E22_center"][25])
+        found[f"30 deg, {law}: transverse strain E22 u=25"] = abs(history["E22_center"][25])
         for size in () if quick else (20.0, 5.0):
             other = qf.solve(
                 qf.off_axis_tension(30, law, displacement=40, size=size),
@@ -172,7 +174,7 @@ def _at_30(quick: bool) -> dict[str, float]:
     ):
         weight = result.blank.areas * zones[zone]
         mean = weight @ result.shear_angles(15) / weight.sum()
-        found[f"30 deg, u=15: mean angle of the zone, {zone}"] = mean - exact
+        found[f"30 deg, u=15: deviation of the mean angle in the zone, {zone}"] = mean - exact
     return found
 
 

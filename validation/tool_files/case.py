@@ -29,9 +29,11 @@ def values() -> dict[str, float]:
                 d, n, _ = exact.distance(points)
                 d_file, n_file, _ = grid.distance(points)
                 case = f"{name}, grid {spacing:g} mm"
-                found[f"{case}: distance, p95"] = np.percentile(np.abs(d_file - d), 95)
-                found[f"{case}: distance, largest"] = np.abs(d_file - d).max()
-                found[f"{case}: normal, p95"] = np.percentile(
+                found[f"{case}: error of the distance, 95th percentile"] = np.percentile(
+                    np.abs(d_file - d), 95
+                )
+                found[f"{case}: error of the distance, largest"] = np.abs(d_file - d).max()
+                found[f"{case}: error of the normal, 95th percentile"] = np.percentile(
                     np.linalg.norm(n_file - n, axis=1), 95
                 )
             # the box before it buckles, and with elements small enough for contact at nodes alone
@@ -41,8 +43,10 @@ def values() -> dict[str, float]:
                 for scene in (name, _with_file(name, path))
             ]
             p99 = [percentile(np.abs(r.shear_angle), r.blank.areas, 0.99) for r in runs]
-            found[f"{name} formed: p99"] = abs(p99[1] - p99[0])
-            found[f"{name} formed: force"] = abs(runs[1].force / runs[0].force - 1)
+            found[f"{name} formed: difference of the 99th percentile"] = abs(p99[1] - p99[0])
+            found[f"{name} formed: relative difference of the force"] = abs(
+                runs[1].force / runs[0].force - 1
+            )
     return found
 
 
