@@ -1,19 +1,20 @@
-"""Closed forms and ordinary differential equations that a fabric model is held against.
+"""Exact solutions that a fabric model is compared with: closed forms and differential equations.
 
-Nothing here knows about meshes. A shear law enters as two callables on arrays, ``S12(I6)`` in MPa
-and its energy ``W(I6)`` in mJ/mm^3, ``W' = S12``; with inextensible fibres ``I6 = sin(gamma)``, so
-that a zone of area A and thickness t0 stores ``t0 A W(sin gamma)``. Lengths are in mm, forces in N,
-angles in radians.
+Nothing here depends on a mesh or on the rest of the package. A shear law is passed as two functions
+of arrays, ``S12(I6)`` in MPa and its energy ``W(I6)`` in mJ/mm^3, ``W' = S12``. With inextensible
+fibres ``I6 = sin(gamma)``, so a zone of area A and thickness t0 stores ``t0 A W(sin gamma)``.
+Lengths are in mm, forces in N, angles in radians.
 """
+
+from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+import scipy as sp  # its parts load when they are used
 from numpy.typing import ArrayLike, NDArray
-from scipy.integrate import OdeSolution, solve_bvp, solve_ivp
-from scipy.optimize import OptimizeResult
 
 Law = Callable[[NDArray], NDArray]
 
@@ -24,7 +25,7 @@ class OffAxisTension:
 
     With a0 = (cos theta0, sin theta0) and b0 = (sin theta0, -cos theta0), the pull along (1, 0),
     the net is x = A(xi) + B(eta), xi = X . a0, eta = X . b0. The rigid grips fix the fibre
-    directions at the xi and eta they reach; what is left of each range,
+    directions at the xi and eta that they reach. The rest of each range,
 
         alpha = l0 cos(theta0) - w0 sin(theta0),    beta = l0 sin(theta0) - w0 cos(theta0),
 
@@ -34,23 +35,21 @@ class OffAxisTension:
         alpha a + beta b = (D + u, e),    D = l0 - w0 sin(2 theta0),    e = w0 cos(2 theta0)
 
     gives the angles. At 45 degrees this is the bias-extension test of [1]_. At other angles the
-    field is admissible, but letting the turn vary across a family of fibres would lower the energy,
-    which is therefore an upper bound.
+    field is admissible, but a turn that varies across a family of fibres has a lower energy: the
+    energy given here is an upper bound.
 
     Parameters
     ----------
-    l0 : float
-        Length between the grips [mm].
-    w0 : float
-        Width [mm].
+    l0, w0 : float
+        Length between the grips and width [mm].
     theta0 : float
         Angle between the pull and the fibres a [rad], between 0 and pi/2.
 
     Raises
     ------
     ValueError
-        If a size or the angle is out of range, or if a fibre joins both grips, that is unless
-        ``l0 > w0 max(tan(theta0), cot(theta0))``.
+        If a size or the angle is out of range, or if a fibre joins both grips, that is if
+        ``l0 <= w0 max(tan(theta0), cot(theta0))``.
 
     References
     ----------
@@ -67,8 +66,7 @@ class OffAxisTension:
     w0: float
     theta0: float
 
-    def __post_init__(self):
-        """Refuse a strip outside the range of the kinematics."""
+    def __post_init__(self) -> None:
         for name, size in (("l0", self.l0), ("w0", self.w0)):
             if not 0 < size < np.inf:
                 raise ValueError(f"`OffAxisTension({name}=...)` must be positive, got {size}")
@@ -86,19 +84,19 @@ class OffAxisTension:
 
     @property
     def alpha(self) -> float:
-        """Length of the fibres a between the ends reached by the grips [mm]."""
+        """Length of the fibres a that is free to turn [mm]."""
         return self.l0 * np.cos(self.theta0) - self.w0 * np.sin(self.theta0)
 
     @property
     def beta(self) -> float:
-        """Length of the fibres b between the ends reached by the grips [mm]."""
+        """Length of the fibres b that is free to turn [mm]."""
         return self.l0 * np.sin(self.theta0) - self.w0 * np.cos(self.theta0)
 
     @property
     def chord(self) -> tuple[float, float]:
         """D and e, the sum of alpha a0 and beta b0 along and across the pull [mm]."""
-        D = self.l0 - self.w0 * np.sin(2 * self.theta0)
-        return D, self.w0 * np.cos(2 * self.theta0)
+        angle = 2 * self.theta0
+        return self.l0 - self.w0 * np.sin(angle), self.w0 * np.cos(angle)
 
     @property
     def displacement_limit(self) -> float:
@@ -110,8 +108,8 @@ class OffAxisTension:
     def zone_areas(self) -> NDArray:
         """Areas of the zones in full shear, phi_a only, phi_b only, and rigid, shape (4,) [mm^2].
 
-        The bands cross the strip from edge to edge. They meet in a rectangle alpha by beta, less
-        the two corners that a long strip cuts off.
+        The two bands cross the strip from edge to edge. They meet in a rectangle of alpha by beta,
+        without the two corners that lie outside a long strip.
         """
         s, c = np.sin(self.theta0), np.cos(self.theta0)
         overhang = max(self.l0 * s * c - self.w0, 0)
@@ -121,17 +119,12 @@ class OffAxisTension:
         return np.array([full, band_a - full, band_b - full, rigid])
 
     def angles(self, u: ArrayLike) -> NDArray:
-        """Shear angles gamma, phi_a and phi_b of the three deforming zones.
+        """Shear angles gamma, phi_a and phi_b of the three deforming zones, shape (3, ...) [rad].
 
         Parameters
         ----------
         u : array_like, shape (...)
-            Grip displacement [mm]; negative in compression, of a strip that is held flat.
-
-        Returns
-        -------
-        ndarray, shape (3, ...)
-            gamma, phi_a, phi_b [rad].
+            Grip displacement [mm]; negative where a flat strip is compressed.
 
         Raises
         ------
@@ -162,40 +155,17 @@ class OffAxisTension:
         return np.array([dgamma, dphi_a, dgamma - dphi_a])
 
     def energy(self, u: ArrayLike, W: Law, t0: float) -> NDArray:
-        """Energy stored in the strip, ``t0 sum A_i W(sin gamma_i)``.
+        """Energy of the strip, ``t0 sum A_i W(sin gamma_i)``, shape (...) [mJ].
 
-        Parameters
-        ----------
-        u : array_like, shape (...)
-            Grip displacement [mm].
-        W : callable
-            Shear energy as a function of I6 [mJ/mm^3].
-        t0 : float
-            Thickness [mm].
-
-        Returns
-        -------
-        ndarray, shape (...)
-            Energy [mJ]; away from 45 degrees an upper bound.
+        `u` as in `angles`, shear energy ``W(I6)`` [mJ/mm^3], thickness `t0` [mm].
         """
         return t0 * np.tensordot(self.zone_areas[:3], W(np.sin(self.angles(u))), axes=1)
 
     def force(self, u: ArrayLike, S12: Law, t0: float) -> NDArray:
-        """Grip force by power balance, ``t0 sum A_i S12(sin gamma_i) cos(gamma_i) dgamma_i/du``.
+        """Grip force, the derivative of `energy`, shape (...) [N].
 
-        Parameters
-        ----------
-        u : array_like, shape (...)
-            Grip displacement [mm].
-        S12 : callable
-            Shear stress as a function of I6 [MPa].
-        t0 : float
-            Thickness [mm].
-
-        Returns
-        -------
-        ndarray, shape (...)
-            Force [N], the derivative of `energy`.
+        It follows from the power balance, ``t0 sum A_i S12(sin gamma_i) cos(gamma_i) dgamma_i/du``,
+        with `u` as in `angles`, shear stress ``S12(I6)`` [MPa] and thickness `t0` [mm].
         """
         angles = self.angles(u)
         power = S12(np.sin(angles)) * np.cos(angles) * self.angle_rates(u)
@@ -221,9 +191,10 @@ def picture_frame_displacement(gamma: ArrayLike, side: float) -> NDArray:
 
 
 def picture_frame_force(gamma: ArrayLike, side: float, S12: Law, t0: float) -> NDArray:
-    """Force on a picture frame along its diagonal, ``2 t0 L S12(sin gamma) cos(pi/4 - gamma/2)``.
+    """Force on a picture frame along its diagonal, shape (...) [N].
 
-    It is the derivative of the energy ``t0 L^2 W(sin gamma)`` with respect to the displacement.
+    The force ``2 t0 L S12(sin gamma) cos(pi/4 - gamma/2)`` is the derivative of the energy
+    ``t0 L^2 W(sin gamma)`` with respect to the displacement.
 
     Parameters
     ----------
@@ -235,18 +206,13 @@ def picture_frame_force(gamma: ArrayLike, side: float, S12: Law, t0: float) -> N
         Shear stress as a function of I6 [MPa].
     t0 : float
         Thickness [mm].
-
-    Returns
-    -------
-    ndarray, shape (...)
-        Force [N].
     """
     gamma = np.asarray(gamma)
     return 2 * t0 * side * S12(np.sin(gamma)) * np.cos(np.pi / 4 - gamma / 2)
 
 
 def heavy_elastica(k: float) -> tuple[float, float, float]:
-    """Inextensible strip drooping under its own weight from a horizontal clamp.
+    """Free end of an inextensible strip that bends under its own weight from a horizontal clamp.
 
     Parameters
     ----------
@@ -255,53 +221,44 @@ def heavy_elastica(k: float) -> tuple[float, float, float]:
 
     Returns
     -------
-    x, drop : float
-        Reach and drop of the free end over the length L.
-    slope : float
-        Slope of the free end below the horizontal [rad].
+    x, drop, slope : float
+        Reach and drop over the length L, and slope below the horizontal [rad].
 
     Raises
     ------
     ValueError
         If k is negative or not finite.
     RuntimeError
-        If the boundary-value problem is not solved to tolerance.
+        If the boundary-value problem does not converge.
     """
-    slope, _, x, drop = _cantilever(k, _weight_beyond).y[:, -1].tolist()
+    slope, _, x, drop = _cantilever(k, lambda s: 1 - s).y[:, -1].tolist()
     return x, drop, slope
 
 
 def heavy_elastica_shape(k: float, s: ArrayLike) -> tuple[NDArray, NDArray]:
-    """Curve of the strip of `heavy_elastica`.
+    """Reach and drop over the length L of points on the strip of `heavy_elastica`, shape (...).
 
     Parameters
     ----------
     k : float
-        ``w L^3 / B`` with weight per length w [N/mm], length L [mm], bending stiffness B [N mm^2].
+        As in `heavy_elastica`, with the same errors.
     s : array_like, shape (...)
-        Stations along the strip from the clamp over the length L, between 0 and 1.
-
-    Returns
-    -------
-    x, drop : ndarray, shape (...)
-        Reach and drop of the stations over the length L.
+        Distances of the points from the clamp along the strip over the length L.
 
     Raises
     ------
     ValueError
-        If k is negative or not finite, or a station lies off the strip.
-    RuntimeError
-        If the boundary-value problem is not solved to tolerance.
+        If a distance is not between 0 and 1.
     """
     s = np.asarray(s, dtype=float)
     if not np.all((s >= 0) & (s <= 1)):
         raise ValueError(f"s must lie between 0 and 1, got {np.min(s):g} to {np.max(s):g}")
-    _, _, x, drop = _cantilever(k, _weight_beyond).sol(s)
+    _, _, x, drop = _cantilever(k, lambda s: 1 - s).sol(s)
     return x, drop
 
 
 def tip_loaded_elastica(k: float) -> tuple[float, float]:
-    """Inextensible cantilever under a dead load across its free end.
+    """Free end of an inextensible cantilever under a load across it; errors as `heavy_elastica`.
 
     Parameters
     ----------
@@ -312,62 +269,49 @@ def tip_loaded_elastica(k: float) -> tuple[float, float]:
     -------
     u, w : float
         Shortening and deflection of the free end over the length L.
-
-    Raises
-    ------
-    ValueError
-        If k is negative or not finite.
-    RuntimeError
-        If the boundary-value problem is not solved to tolerance.
     """
     _, _, x, w = _cantilever(k, np.ones_like).y[:, -1].tolist()
     return 1 - x, w
 
 
-def _weight_beyond(s: NDArray) -> NDArray:
-    """Weight of the strip beyond the station s over its whole weight."""
-    return 1 - s
+def _cantilever(k: float, load_beyond: Callable[[NDArray], NDArray]) -> sp.optimize.OptimizeResult:
+    """Solve theta'' = -k load_beyond(s) cos(theta), theta(0) = theta'(1) = 0, for 0 <= s <= 1.
 
-
-def _cantilever(k: float, load_beyond: Callable[[NDArray], NDArray]) -> OptimizeResult:
-    """Solve theta'' = -k load_beyond(s) cos(theta), theta(0) = theta'(1) = 0, over s in [0, 1].
-
-    The states of the solution are theta, theta', x and drop.
+    `load_beyond(s)` is the part of the load that acts between s and the free end. The rows of the
+    solution are theta, theta', x and drop.
     """
     if not 0 <= k < np.inf:
         raise ValueError(f"the load parameter k must be finite and not negative, got {k}")
 
-    def rates(s, state):
-        theta, curvature, _, _ = state
-        return np.array(
-            [curvature, -k * load_beyond(s) * np.cos(theta), np.cos(theta), np.sin(theta)]
-        )
+    def rates(s: NDArray, state: NDArray) -> NDArray:
+        c = np.cos(state[0])
+        return np.array([state[1], -k * load_beyond(s) * c, c, np.sin(state[0])])
 
-    def clamp_and_free_end(clamp, tip):
+    def clamp_and_free_end(clamp: NDArray, tip: NDArray) -> NDArray:
         return np.array([clamp[0], tip[1], clamp[2], clamp[3]])
 
-    # First guess: a long cantilever under a tip load, theta'' = -k cos(theta), theta -> pi/2.
+    # first guess: a long cantilever under a tip load, theta'' = -k cos(theta), theta -> pi/2
     s = np.linspace(0, 1, 101)
     decay = np.tan(np.pi / 8) * np.exp(-np.sqrt(k) * s)
     theta = np.pi / 2 - 4 * np.arctan(decay)
     curvature = 4 * np.sqrt(k) * decay / (1 + decay**2)
     guess = np.array([theta, curvature, s * np.cos(theta), s * np.sin(theta)])
-    tolerance = 1e-9
-    solution = solve_bvp(rates, clamp_and_free_end, s, guess, tol=tolerance, max_nodes=20_000)
+    settings = {"tol": 1e-9, "max_nodes": 20_000}
+    solution = sp.integrate.solve_bvp(rates, clamp_and_free_end, s, guess, **settings)
     if not solution.success:
         raise RuntimeError(
             f"elastica with k = {k:g} not solved after {solution.niter} iterations: residual "
-            f"{solution.rms_residuals.max():.1e}, tolerance {tolerance:.0e}; take a smaller k"
+            f"{solution.rms_residuals.max():.1e}, tolerance 1e-09; take a smaller k"
         )
     return solution
 
 
 def hemisphere_net(a: ArrayLike, b: ArrayLike, radius: float) -> NDArray:
-    """Shear angle of the inextensible net on a sphere, two of whose fibres cross at the pole.
+    """Shear angle of an inextensible net on a sphere, with the sign of a b, shape (...) [rad].
 
-    The angle obeys gamma_ab = cos(gamma) / R^2 and vanishes on the two fibres through the pole,
-    hence gamma = g(p), p = a b / R^2, with p g'' + g' = cos(g), g(0) = 0, g'(0) = 1. The net is
-    the same for every shear law.
+    Two fibres cross at the pole. The angle obeys gamma_ab = cos(gamma) / R^2 and is zero on these
+    two, hence gamma = g(p), p = a b / R^2, with p g'' + g' = cos(g), g(0) = 0, g'(0) = 1. The net
+    is the same for every shear law.
 
     Parameters
     ----------
@@ -375,11 +319,6 @@ def hemisphere_net(a: ArrayLike, b: ArrayLike, radius: float) -> NDArray:
         Lengths along the fibres from the two that cross at the pole, with sign [mm].
     radius : float
         Radius R of the sphere in which the mid-surface lies [mm].
-
-    Returns
-    -------
-    ndarray, shape (...)
-        Shear angle [rad], with the sign of a b.
 
     Raises
     ------
@@ -400,9 +339,9 @@ def hemisphere_net(a: ArrayLike, b: ArrayLike, radius: float) -> NDArray:
 
 
 def hemisphere_bias(colatitude: ArrayLike, radius: float) -> tuple[NDArray, NDArray]:
-    """Shear angle and material coordinate on the bias line of the net of `hemisphere_net`.
+    """Shear angle and fibre length on the bias line of the net of `hemisphere_net`.
 
-    On the line a = b = s both fibres make the angle pi/4 - gamma/2 with the meridian, therefore
+    On the line a = b = s the angle between both fibres and the meridian is pi/4 - gamma/2, hence
     R d(colatitude) = 2 cos(pi/4 - gamma/2) ds.
 
     Parameters
@@ -410,14 +349,12 @@ def hemisphere_bias(colatitude: ArrayLike, radius: float) -> tuple[NDArray, NDAr
     colatitude : array_like, shape (...)
         Angle from the pole [rad], from 0 to pi/2.
     radius : float
-        Radius R of the sphere in which the mid-surface lies [mm].
+        Radius R of the sphere [mm].
 
     Returns
     -------
-    gamma : ndarray, shape (...)
-        Shear angle [rad].
-    s : ndarray, shape (...)
-        Fibre length a = b = s from the fibres that cross at the pole [mm].
+    gamma, s : ndarray, shape (...)
+        Shear angle [rad] and length a = b = s from the fibres that cross at the pole [mm].
 
     Raises
     ------
@@ -428,79 +365,57 @@ def hemisphere_bias(colatitude: ArrayLike, radius: float) -> tuple[NDArray, NDAr
     if not np.all((colatitude >= 0) & (colatitude <= np.pi / 2)):
         raise ValueError("colatitude must lie between 0 and pi/2 radians")
 
-    def fibre_length_rate(_, s):
+    def fibre_length_rate(_: float, s: NDArray) -> NDArray:
         return radius / (2 * np.cos(np.pi / 4 - hemisphere_net(s, s, radius) / 2))
 
-    solution = solve_ivp(
-        fibre_length_rate,
-        (0, np.pi / 2),
-        [0.0],
-        method="DOP853",
-        dense_output=True,
-        rtol=1e-11,
-        atol=1e-12 * radius,
-    )
-    s = solution.sol(colatitude.ravel())[0].reshape(colatitude.shape)
+    length = _integrate(fibre_length_rate, (0, np.pi / 2), [0.0], 1e-11, 1e-12 * radius)
+    s = length(colatitude.ravel())[0].reshape(colatitude.shape)
     return hemisphere_net(s, s, radius), s
 
 
 def _pole_series(p: ArrayLike) -> tuple[ArrayLike, ArrayLike]:
-    """Return g and p g' to p^5, from p g'' + g' = sum of n^2 c_n p^(n-1) = cos(g)."""
+    """Return g and p g' up to p^5, from p g'' + g' = sum of n^2 c_n p^(n-1) = cos(g)."""
     return p - p**3 / 18 + 7 * p**5 / 1800, p - p**3 / 6 + 7 * p**5 / 360
 
 
 @cache
-def _hemisphere_solution() -> OdeSolution:
-    """Integrate g' = h/p, h' = cos(g) from the series at the pole to the collapse g = pi/2."""
+def _hemisphere_solution() -> sp.integrate.OdeSolution:
+    """Solution of g' = h/p, h' = cos(g) from the series at the pole to the collapse g = pi/2."""
 
-    def collapse(_, state):
+    def collapse(_: float, state: NDArray) -> float:
         return state[0] - np.pi / 2
 
-    collapse.terminal = True
-    p0 = 0.01
-    return solve_ivp(
-        lambda p, state: [state[1] / p, np.cos(state[0])],
-        (p0, 10),
-        _pole_series(p0),
-        method="DOP853",
-        events=collapse,
-        dense_output=True,
-        rtol=1e-12,
-        atol=1e-14,
-    ).sol
+    collapse.terminal, p0 = True, 0.01
+    span, start = (p0, 10), _pole_series(p0)
+    return _integrate(lambda p, y: [y[1] / p, np.cos(y[0])], span, start, 1e-12, 1e-14, collapse)
+
+
+def _integrate(rates, span, start, rtol, atol, events=None) -> sp.integrate.OdeSolution:
+    settings = {"dense_output": True, "events": events, "rtol": rtol, "atol": atol}
+    return sp.integrate.solve_ivp(rates, span, start, "DOP853", **settings).sol
 
 
 def strip_friction(mu: float, mass: float) -> float:
-    """Force that draws a strip from between two plates, ``2 mu m g`` [N].
+    """Force that pulls a strip out of two plates, ``2 mu m g`` with g = 9.81 m/s^2 [N].
 
     Parameters
     ----------
     mu : float
         Friction coefficient of each face.
     mass : float
-        Mass that presses the plates together [kg]; g = 9.81 m/s^2.
-
-    Returns
-    -------
-    float
-        Force [N].
+        Mass that presses the plates together [kg].
     """
     return 2 * mu * mass * 9.81
 
 
 def capstan_ratio(mu: float, angle: ArrayLike) -> NDArray:
-    """Ratio of the pulls on a strip sliding over a cylinder, ``exp(mu angle)``.
+    """Larger over smaller pull on a strip that slides over a cylinder, ``exp(mu angle)``.
 
     Parameters
     ----------
     mu : float
         Friction coefficient.
     angle : array_like, shape (...)
-        Angle of wrap [rad].
-
-    Returns
-    -------
-    ndarray, shape (...)
-        Larger pull over the smaller one.
+        Angle of wrap [rad]; the ratio has its shape.
     """
     return np.exp(mu * np.asarray(angle))

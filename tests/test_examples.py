@@ -30,7 +30,7 @@ def test_hemisphere(capsys):
     result = example("hemisphere")["result"]
     assert result.status == "completed"
     assert result.scene.size == 10
-    assert result.certified is True
+    assert result.certified
     assert "certified: True" in capsys.readouterr().out
 
 
@@ -38,7 +38,7 @@ def test_own_energy():
     """It stiffens the test, and its derivatives are those of its energy."""
     found = example("own_energy")
     plain, stitched, scene = found["plain"], found["stitched"], found["scene"]
-    assert stitched.certified is True
+    assert stitched.certified
     assert 1.01 * plain.force < stitched.force < 1.5 * plain.force
     term, x, h = scene.terms[-1], stitched.states[-1].x, 1e-6
     assert (term.energy(x) > 0).any()

@@ -19,7 +19,7 @@ from quasiform.identification import picture
 from quasiform.identification.campaign import Campaign, ShearTest, load
 from quasiform.identification.energy_method import Forces, energy_method
 from quasiform.identification.fit import NAMES, Unknowns, fit
-from quasiform.identification.inverse import Frame, Sheet
+from quasiform.identification.inverse import Sheet
 from quasiform.identification.records import Curve
 from quasiform.identification.specimen import OffAxis, PictureFrame
 from quasiform.theory import (
@@ -471,7 +471,7 @@ def by_elements(sheet, curve, law, with_angle=False):
     if with_angle:
         centre = [sheet.angle(x) for x in sheet.states(LAWS[law])]
         angle = sheet.to_rows @ np.radians(centre)
-    force = sheet.forces_under(LAWS[law])
+    force = sheet.predicted(LAWS[law])
     return Curve(force, curve.displacement, angle, 0.01 * force)
 
 
@@ -494,11 +494,11 @@ def test_derivatives_by_the_parameters(angle, with_angle):
 
 
 def test_derivatives_of_a_frame():
-    frame = Frame(frame_test("best-fit", 50.0, rows=30))
+    frame = frame_test("best-fit", 50.0, rows=30)
     unknowns = Unknowns(LAWS["best-fit"], NAMES)
     p = 1.02 * unknowns.start
     r, J = frame.residual(unknowns, p)
-    test = frame.forces
+    test = frame
     assert_allclose(r, (test.predicted(unknowns.law(p)) - test.force) / test.sigma)
     step = np.array([1e-3, -2e-3, 1e-3, 2e-3, -1e-3, 1e-4])
     above, below = (frame.residual(unknowns, p + s * step * p)[0] for s in (1, -1))
@@ -1115,7 +1115,7 @@ def test_options_of_the_test(capsys, here):
         ("odd.csv", ["odd.csv: no column of a displ", '--columns displacement="Way, left (mm)"']),
         ("data.csv --angle 20", ["fibres join both grips"]),
         ("data.csv --length 250", ["data.csv: ", "at 37.28 mm"]),
-        ("", ["required: FILE"]),
+        ("", ["FILE requires an argument"]),
     ],
 )
 def test_wrong_words_are_refused(capsys, here, line, words):

@@ -222,9 +222,14 @@ def test_a_bent_mesh_is_refused(tmp_path):
 
 
 def test_rim_of_a_surface(tmp_path):
-    pytest.importorskip("gmsh")
-    path = tmp_path / "disc.geo"
-    path.write_text('SetFactory("OpenCASCADE"); Disk(1) = {0, 0, 0, 40};', encoding="utf-8")
+    gmsh = pytest.importorskip("gmsh")
+    path = tmp_path / "disc.brep"
+    gmsh.initialize(readConfigFiles=False, interruptible=False)
+    gmsh.option.setNumber("General.Terminal", 0)
+    gmsh.model.occ.addDisk(0, 0, 0, 40, 40)
+    gmsh.model.occ.synchronize()
+    gmsh.write(str(path))
+    gmsh.finalize()
     assert same(outline.read_outline(path), outline.disc(40.0), 0.05)
 
 

@@ -15,6 +15,7 @@ import pytest
 
 import quasiform as qf
 from quasiform.console.cli import main
+from quasiform.scenes import scene_file
 from quasiform.solve import Journal, increments
 
 
@@ -79,7 +80,7 @@ def test_memory_of_friction_is_part_of_the_record(tmp_path, monkeypatch):
 
 
 def test_a_run_that_ended_for_good_stays_ended(tmp_path, monkeypatch):
-    monkeypatch.setattr(qf.Scene, "lost", lambda self, x: "the holder is lost")
+    monkeypatch.setattr(qf.Model, "lost", lambda self, x: "the holder is lost")
     stopped = qf.solve(forming(), estimate=False, out=tmp_path)
     monkeypatch.undo()
     again = qf.solve(forming(), estimate=False, out=tmp_path, resume=True)
@@ -122,7 +123,7 @@ def test_the_path_of_a_refined_run_is_carried_on(tmp_path):
         qf.refine(scene, killed_after(5), out=tmp_path)
     assert "on a mesh of 20 mm, the way to one of 10 mm" in readable(tmp_path)["reason"]
     result = qf.refine(scene, out=tmp_path, resume=True)
-    assert result.path.scene.size == 20
+    assert result.path.model.size == 20
     straight = qf.refine(scene)
     np.testing.assert_allclose(result.states[-1].x, straight.states[-1].x, atol=1e-6)
     assert readable(tmp_path)["status"] == "completed"
@@ -161,9 +162,9 @@ def test_sigkill_leaves_readable_files_and_resume_carries_on(tmp_path, delay):
 
 def test_a_run_from_a_file_is_carried_on_from_any_directory(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    shutil.copy(qf.scene_file.FOLDER / "hemisphere.toml", "part.toml")
+    shutil.copy(scene_file.FOLDER / "hemisphere.toml", "part.toml")
     monkeypatch.setattr(
-        "quasiform.console.cli.LiveProgress.__call__", lambda *_: killed_after(1)(None)
+        "quasiform.console.progress.LiveProgress.__call__", lambda *_: killed_after(1)(None)
     )
     with pytest.raises(KilledError):
         main(["form", "part.toml", "--size", "12", "--travel", "10", "--out", "out"])
@@ -223,7 +224,7 @@ def test_a_folder_that_goes_away_stops_the_run_with_the_reason(tmp_path, capsys,
         if len(calls) == 2:
             shutil.rmtree("out")
 
-    monkeypatch.setattr("quasiform.console.cli.LiveProgress.__call__", remove)
+    monkeypatch.setattr("quasiform.console.progress.LiveProgress.__call__", remove)
     assert main(["oat", "--size", "40", "--displacement", "20", "--out", "out"]) == 3
     assert "cannot write to out: No such file or directory" in capsys.readouterr().out
     assert not (tmp_path / "out").exists()

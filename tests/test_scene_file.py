@@ -13,7 +13,6 @@ from quasiform.checks import InputError
 from quasiform.scenes.scene_file import (
     FOLDER,
     SHAPES,
-    STANDINGS,
     Gripper,
     SceneFile,
     Support,
@@ -22,6 +21,7 @@ from quasiform.scenes.scene_file import (
     built_in,
     load,
 )
+from quasiform.schema import STANDINGS
 from quasiform.tools.shapes import (
     Placed,
     Plane,
@@ -224,8 +224,8 @@ def test_tools_of_a_built_in_scene(name):
     assert (scene.gravity, scene.symmetry, scene.supports, scene.grippers) == (
         False,
         "auto",
-        [],
-        [],
+        (),
+        (),
     )
     assert (scene.increment, scene.rows) == (5.0, 5.0)
     assert scene.outputs == {"pictures": True, "increments": True}
@@ -262,14 +262,14 @@ def test_everything_that_can_be_said_is_read():
     assert (scene.increment, scene.rows) == (2.0, 4.0)
     assert scene.outputs == {"pictures": False, "increments": True}
     assert scene.areas == {"left": ((-40.0, 0.0), 8.0), "right": ((40.0, 0.0), 9.0)}
-    assert scene.supports == [
+    assert scene.supports == (
         Support(Where(side="-x"), "xyz", True),
         Support(Where(box=(-10.0, -20.0, 10.0, 20.0)), "zx", False),
-    ]
-    assert scene.grippers == [
+    )
+    assert scene.grippers == (
         Gripper(Where(side="+y"), (0.0, 1.0), tension=50.0),
         Gripper(Where(centre=(1.0, 2.0), radius=30.0), (0.6, -0.8), stiffness=0.5),
-    ]
+    )
     stamp, die, ring = scene.tools
     assert (stamp.name, stamp.role, stamp.motion) == ("stamp", "punch", "driven")
     assert (stamp.friction, stamp.z, stamp.place) == (0.2, -2.5, (3.0, 4.0))
@@ -445,7 +445,7 @@ REFUSED = {
     ),
     "blank shape number": ('shape = "rectangle"', "shape = 3", ["[blank] shape = 3", "one of"]),
     "blank number": ("width = 200.0", "", ["[blank] width missing"]),
-    "blank negative": ("width = 200.0", "width = -2", ["blank.width must be a positive", "-2"]),
+    "blank negative": ("width = 200.0", "width = -2", ["[blank] width must be a positive", "-2"]),
     "blank of another shape": (
         "width = 200.0",
         "width = 200.0\nradius = 9.0",
@@ -478,11 +478,15 @@ REFUSED = {
         "width = 200.0\ncentre = [1.0]",
         ["[blank] centre = [1.0]", "expected 2 numbers"],
     ),
-    "size": ("width = 200.0", "width = 200.0\nsize = 0", ["blank.size must be a positive number"]),
+    "size": (
+        "width = 200.0",
+        "width = 200.0\nsize = 0",
+        ["[blank] size must be a positive number"],
+    ),
     "orientation": (
         "width = 200.0",
         "width = 200.0\norientation = nan",
-        ["blank.orientation must be a number"],
+        ["[blank] orientation must be a number"],
     ),
     "mesh": (
         "width = 200.0",
@@ -511,9 +515,17 @@ REFUSED = {
         HOLE.replace("disc", "file"),
         ["[blank.holes 1] shape = 'file'", "rectangle, disc, polygon"],
     ),
-    "hole, second": ("", HOLE + HOLE.replace("20.0", "-1"), ["blank.holes 2.radius must be"]),
-    "holes no tables": ("width = 200.0", "width = 200.0\nholes = 3", ["holes", "[[holes]]"]),
-    "tool no table": ("[tools.punch]", "[tools]\npunch = 4\n[tools.x]", ["[tools.punch] missing"]),
+    "hole, second": ("", HOLE + HOLE.replace("20.0", "-1"), ["[blank.holes 2] radius must be"]),
+    "holes no tables": (
+        "width = 200.0",
+        "width = 200.0\nholes = 3",
+        ["blank.holes", "[[blank.holes]]"],
+    ),
+    "tool no table": (
+        "[tools.punch]",
+        "[tools]\npunch = 4\n[tools.x]",
+        ["tools.punch = 4: expected a table [tools.punch]"],
+    ),
     "tool key": (
         "radius = 50.0",
         "radius = 50.0\nradios = 1",
@@ -529,7 +541,7 @@ REFUSED = {
     "tool bad number": (
         "radius = 50.0",
         "radius = 'big'",
-        ["tools.punch.radius must be a positive number, got 'big'"],
+        ["[tools.punch] radius must be a positive number, got 'big'"],
     ),
     "tool of another shape": (
         "radius = 50.0",
@@ -560,7 +572,7 @@ REFUSED = {
     "friction": (
         "radius = 50.0",
         "radius = 50.0\nfriction = -0.1",
-        ["tools.punch.friction must be a number of at least zero, got -0.1"],
+        ["[tools.punch] friction must be a number of at least zero, got -0.1"],
     ),
     "place": (
         "radius = 50.0",
@@ -570,7 +582,7 @@ REFUSED = {
     "z": (
         "radius = 50.0",
         "radius = 50.0\nz = 'high'",
-        ["tools.punch.z must be a number", "'high'"],
+        ["[tools.punch] z must be a number", "'high'"],
     ),
     "mass of a punch": (
         "radius = 50.0",
@@ -588,7 +600,7 @@ REFUSED = {
         ["[tools.punch] mass, force and tilt belong"],
     ),
     "no load": ("mass = 5.0", "", ["[tools.holder] a free tool needs a mass or a force"]),
-    "mass": ("mass = 5.0", "mass = nan", ["tools.holder.mass must be", "nan"]),
+    "mass": ("mass = 5.0", "mass = nan", ["[tools.holder] mass must be", "nan"]),
     "tilt": ("mass = 5.0", "mass = 5.0\ntilt = 'no'", ["[tools.holder] tilt = 'no'", "true or f"]),
     "standing": (
         "mass = 5.0",
@@ -618,7 +630,7 @@ REFUSED = {
     "no value": (
         "mass = 5.0",
         "mass = { unit = 'kg', standing = 'assumed' }",
-        ["tools.holder.mass must be", "None"],
+        ["[tools.holder] mass must be", "None"],
     ),
     "file and shape": (
         "radius = 50.0",
@@ -674,7 +686,11 @@ REFUSED = {
         GRIPPER.replace("tension = 5.0", ""),
         ["[grippers 1] needs a tension or a stiffness"],
     ),
-    "gripper tension": ("", GRIPPER.replace("5.0", "-5.0"), ["grippers 1.tension must be", "-5.0"]),
+    "gripper tension": (
+        "",
+        GRIPPER.replace("5.0", "-5.0"),
+        ["[grippers 1] tension must be", "-5.0"],
+    ),
     "gripper direction": (
         "",
         GRIPPER + "direction = [0.0, 0.0]",
@@ -686,13 +702,17 @@ REFUSED = {
         ["[grippers 1] direction = None", "expected 2 numbers"],
     ),
     "area key": ("", AREA.replace("radius", "radios"), ["[areas.green] unknown key 'radios'"]),
-    "area no table": ("", "[areas]\ngreen = 5", ["[areas.green] missing"]),
+    "area no table": (
+        "",
+        "[areas]\ngreen = 5",
+        ["areas.green = 5: expected a table [areas.green]"],
+    ),
     "area centre": ("", AREA.replace("[0.0, 0.0]", "5"), ["[areas.green] centre = 5"]),
     "area no centre": ("", "[areas]\ngreen = { radius = 8.0 }", ["[areas.green] centre"]),
     "area standing": ("", AREA.replace(" }", ", standing = 'x' }"), ["areas.green: standing"]),
     "area unit": ("", AREA.replace(" }", ", unit = 'm' }"), ["areas.green", "unit must be 'mm'"]),
     "increments": ("", "[increments]\nlargst = 2.0", ["[increments] unknown key 'largst'"]),
-    "largest": ("", "[increments]\nlargest = 0.0", ["increments.largest must be a positive"]),
+    "largest": ("", "[increments]\nlargest = 0.0", ["[increments] largest must be a positive"]),
     "outputs": (
         "",
         "[outputs]\npicture = true",

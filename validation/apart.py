@@ -70,13 +70,13 @@ def _number(value: float) -> float | str:
 def _sheet(result: Result, folder: Path, name: str) -> tuple[str, str | None, str]:
     """Description of a sheet, file of its 3D view (None without plotly) and of its picture."""
     with TemporaryDirectory(dir=folder) as pictures:
-        save_pictures(result, pictures)
+        save_pictures(result.record, pictures)
         Path(pictures, "shear_angle.png").replace(folder / f"{name}.png")
     interactive = None
     if view.available():
         interactive = f"{name}.json"
-        (folder / interactive).write_text(view.figure(result).to_json(), encoding="utf-8")
-    return view.words(result), interactive, f"{name}.png"
+        (folder / interactive).write_text(view.figure(result.record).to_json(), encoding="utf-8")
+    return view.words(result.record), interactive, f"{name}.png"
 
 
 if __name__ == "__main__":

@@ -28,7 +28,7 @@ from markdown_it import MarkdownIt
 from markupsafe import Markup
 from scipy.sparse import csr_array
 
-from quasiform.result.run import package_version
+from quasiform.result.summary import package_version
 from quasiform.solve.linear import linear_solver
 
 from .bands import (

@@ -9,16 +9,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import shapely
 
 from ..draw.plot import COLOURS, DPI, FIRST, SCALES, SECOND, STYLE, WIDTH
+from .mapping import ANGLE
+from .place import rim
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from ..result.sheet import FormedSheet
     from .comparison import Comparison
-    from .sheet import Sheet
 
 FloatArray = np.ndarray
 
@@ -57,19 +58,19 @@ def draw(comparison: Comparison, path: Path) -> None:
         figure.savefig(path, dpi=DPI)
 
 
-def _shown(comparison: Comparison, panel: str) -> tuple[Sheet, FloatArray]:
+def panel_field(comparison: Comparison, panel: str) -> tuple[FormedSheet, FloatArray]:
     """Sheet of a panel and the shear angle (n,) on it: each on its own shape."""
     if panel == "difference":
         return comparison.field, comparison.difference
     sheet = comparison.sheets[panel == "reference"]
-    return sheet, sheet.gamma
+    return sheet, sheet.point_fields[ANGLE]
 
 
 def _frame(comparison: Comparison) -> FloatArray:
     """(2, 2) lower left and upper right of all that is drawn, with a margin, mm."""
     seen = [sheet.places[:, :2] for sheet in comparison.sheets if sheet.contour is None]
-    lines = [sheet.outline for sheet in comparison.sheets if sheet.outline is not None]
-    points = np.vstack([*seen, *map(shapely.get_coordinates, lines)])
+    lines = [line.coords for line in map(rim, comparison.sheets) if line is not None]
+    points = np.vstack([*seen, *lines])
     low, high = points.min(0), points.max(0)
     margin = 0.04 * (high - low).max()
     return np.array([low - margin, high + margin])
@@ -78,7 +79,7 @@ def _frame(comparison: Comparison) -> FloatArray:
 def _title(comparison: Comparison, panel: str) -> str:
     if panel == "outlines":
         return "outlines"
-    where = "" if _shown(comparison, panel)[0].points is not None else ", on the flat blank"
+    where = "" if panel_field(comparison, panel)[0].points is not None else ", on the flat blank"
     if panel == "difference":
         on = "result" if comparison.field is comparison.sheets[0] else "reference"
         return f"difference: result - reference,\non the {on}'s shape{where}"
@@ -87,24 +88,24 @@ def _title(comparison: Comparison, panel: str) -> str:
 
 def _field(figure: Figure, axes: Axes, comparison: Comparison, panel: str) -> None:
     """Colours of a panel, and their bar; one scale for both sheets, marked at locking."""
-    sheet, values = _shown(comparison, panel)
+    sheet, values = panel_field(comparison, panel)
     if panel == "difference":
         top = max(float(np.nanmax(np.abs(values))), 1e-9)
         scale = {"cmap": "RdBu_r", "vmin": -top, "vmax": top}
     else:
-        both = np.concatenate([one.gamma for one in comparison.sheets])
+        both = np.concatenate([one.point_fields[ANGLE] for one in comparison.sheets])
         largest = max(np.nanmax(both), *comparison.locking, 0.0)
         end = next((end for end in SCALES if end >= largest), SCALES[-1])
         low = -end if np.nanmin(both) < 0 else 0.0
         scale = {"cmap": COLOURS, "vmin": low, "vmax": end}
     x, y = sheet.places[:, 0], sheet.places[:, 1]
-    if sheet.triangles is None:
+    if not len(sheet.triangles):
         colours = axes.scatter(x, y, c=values, s=4, linewidths=0, **scale)
     else:
         known = np.isfinite(values)[sheet.triangles].all(1)
-        shown = np.where(np.isfinite(values), values, 0.0)
+        visible = np.where(np.isfinite(values), values, 0.0)
         colours = axes.tripcolor(
-            x, y, sheet.triangles, shown, mask=~known, shading="gouraud", rasterized=True, **scale
+            x, y, sheet.triangles, visible, mask=~known, shading="gouraud", rasterized=True, **scale
         )
     bar = figure.colorbar(colours, ax=axes, shrink=0.8, label="degrees")
     if panel == "difference":
@@ -121,9 +122,9 @@ def _outlines(axes: Axes, comparison: Comparison, panel: str) -> None:
     for sheet, colour, name in zip(
         comparison.sheets, (FIRST, SECOND), ("result", "reference"), strict=True
     ):
-        if sheet.outline is not None and panel in (name, "difference", "outlines"):
-            line = shapely.get_coordinates(sheet.outline).T
-            axes.plot(*line, color=colour, linewidth=0.7, label=name)
+        line = rim(sheet)
+        if line is not None and panel in (name, "difference", "outlines"):
+            axes.plot(*line.xy, color=colour, linewidth=0.7, label=name)
     if panel in ("outlines", "difference") and axes.get_legend_handles_labels()[0]:
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=2)
 

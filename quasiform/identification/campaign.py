@@ -34,8 +34,9 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import InputError, check_file, check_keys, check_number, read_toml, suggestion
+from ..checks import InputError, check_file, check_keys, check_number, suggestion
 from ..fabric import Fabric, fabric_of
+from ..toml_file import read_toml
 from .cantilever import Stiffness, from_profile, from_repeats, from_tip
 from .energy_method import Forces
 from .fit import ALGORITHMS, check_kept

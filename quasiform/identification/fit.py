@@ -1,30 +1,28 @@
 """Fit of the six parameters of the three-stage law (Schäfer et al., Eq. 9) to forces.
 
-The forces of all tests are compared with the power balance under the law, each row weighed with its
-standard deviation, so that nothing is smoothed before it is fitted. Two ways: bounded least squares
-(scipy's `least_squares`), which gives intervals, and Nelder-Mead as in the paper.
-
-Stage three is fitted only where the tests show one: else its onset and stiffness are kept as asked
-(`keep`), or left out. A parameter whose interval reaches zero, or further than it is itself, is
-called not identified.
+The forces of all tests are compared with the power balance, or with finite elements (`inverse`),
+under the law, every row weighted with its standard deviation. scipy's bounded least squares gives
+the intervals too; Nelder-Mead is the algorithm of the paper. The third stage is fitted only where
+the tests show one; otherwise its onset and stiffness are kept as given (`keep`) or left out. A
+parameter whose interval reaches zero is reported as not identified.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
-from scipy.optimize import OptimizeResult, least_squares, minimize
-from scipy.special import stdtrit
+import scipy as sp  # its parts load when they are used
 
 from ..checks import InputError, check_keys, check_number
 from ..fabric import ThreeStageLaw
-from .energy_method import Forces, StressCurve
+from .energy_method import Forces, StressCurve, relative_misfit
 
 FloatArray = np.ndarray
 NAMES = ("C_ini", "S_ini", "C_mid", "dS_mid", "C_lo", "I_lo")
-UNITS = dict.fromkeys(NAMES, "MPa") | {"I_lo": "1"}
 LOCKING = ("C_lo", "I_lo")
 LONGEST = 0.2  # strain I6 at the end of the first stage
 ALGORITHMS = ("least-squares", "nelder-mead")
@@ -32,74 +30,56 @@ ALGORITHMS = ("least-squares", "nelder-mead")
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter of the law with its interval of 95 % confidence.
-
-    `state` is "fitted", "kept", "not identified" or "not tested" (stage three, where the tests end
-    before it).
-    """
+    """A parameter with its 95 % confidence interval."""
 
     name: str
     value: float
     low: float
     high: float
     unit: str
-    state: str
+    state: str  # fitted, kept, not identified, or not tested: a third stage beyond the tests
 
 
 @dataclass(frozen=True)
 class Fit:
-    """A law with its parameters.
-
-    Parameters
-    ----------
-    law : ThreeStageLaw
-    parameters : tuple of Parameter
-    stages : tuple of two floats
-        Shear angles at which the first stage ends and the third begins, degrees.
-    misfit : float
-        Root mean square of the relative deviation of the forces.
-    """
+    """A law with its parameters."""
 
     law: ThreeStageLaw
     parameters: tuple[Parameter, ...]
-    stages: tuple[float, float]
-    misfit: float
+    misfit: float  # root mean square of the relative deviation of the forces
+
+    @property
+    def stages(self) -> tuple[float, float]:
+        """Shear angles at which the first stage ends and the third begins, degrees."""
+        I6 = np.minimum([self.law.S_ini / self.law.C_ini, self.law.I_lo], 1.0)
+        return tuple(np.degrees(np.arcsin(I6)).tolist())
 
 
 class Unknowns:
-    """The fitted parameters as numbers of order one, with bounds that keep the law a law.
+    """The fitted parameters (`free`) as numbers of order one, with bounds that keep the law valid.
 
-    The first stage is described by the strain I^t = S_ini/C_ini at its end, below which I_lo never
-    comes.
-
-    Parameters
-    ----------
-    start : ThreeStageLaw
-    free : sequence of str
-        Names of the parameters that are fitted; the others stay.
+    The first stage is described by the strain I^t = S_ini/C_ini at its end. I_lo is always larger.
     """
 
     def __init__(self, start: ThreeStageLaw, free: Sequence[str]) -> None:
         self.free = [name for name in NAMES if name in free]
         self.values = {name: getattr(start, name) for name in NAMES}
-        strain = start.S_ini / start.C_ini
+        strain, least = start.S_ini / start.C_ini, 1e-3 * start.C_ini
         if "S_ini" in self.free:
             self.values["S_ini"] = strain
-        least = {"C_mid": 1e-3 * start.C_ini, "C_lo": 1e-3 * start.C_ini}
-        self.scale = np.array([max(self.values[name], least.get(name, 0.0)) for name in self.free])
-        stiffest = 1e-3 if "S_ini" in self.free else strain / LONGEST
         limits = {
-            "C_ini": (stiffest, 1e3),
+            "C_ini": (1e-3 if "S_ini" in self.free else strain / LONGEST, 1e3),
             "S_ini": (1e-4 / strain, LONGEST / strain),
             "C_mid": (0.0, 1e4),
             "dS_mid": (1e-3, 1e3),
             "C_lo": (0.0, 1e6),
             "I_lo": ((LONGEST + 0.01) / start.I_lo, 1.0 / start.I_lo),
         }
-        self.bounds = np.array([limits[name] for name in self.free]).T
-        inside = self.bounds + 1e-9 * np.array([[1.0], [-1.0]])
         values = np.array([self.values[name] for name in self.free])
-        self.start = np.clip(values / self.scale, *inside)
+        slope = np.array([name in ("C_mid", "C_lo") for name in self.free])  # may be zero
+        self.scale = np.where(slope, np.maximum(values, least), values)
+        self.bounds = np.array([limits[name] for name in self.free]).T
+        self.start = np.clip(values / self.scale, *(self.bounds + np.array([[1e-9], [-1e-9]])))
 
     def law(self, p: FloatArray) -> ThreeStageLaw:
         """The law of (k,) numbers."""
@@ -109,18 +89,21 @@ class Unknowns:
         return ThreeStageLaw(**values)
 
     def slopes(self, p: FloatArray, of: Callable[[ThreeStageLaw], FloatArray]) -> FloatArray:
-        """Derivatives (..., k) of something (...) that a law gives, by central differences."""
+        """Derivatives (..., k) of a function (...) of the law, by central differences."""
         columns = []
-        for i in range(len(p)):
-            h = 1e-6 * max(abs(p[i]), 1e-3)
-            above, below = p.copy(), p.copy()
-            above[i], below[i] = p[i] + h, max(p[i] - h, self.bounds[0, i])
+        for step in np.diag(1e-6 * np.maximum(np.abs(p), 1e-3)):
+            above, below = p + step, np.maximum(p - step, self.bounds[0])
             rise = of(self.law(above)) - of(self.law(below))
-            columns.append(rise / (above[i] - below[i]))
+            columns.append(rise / (above - below)[step > 0])
         return np.stack(columns, axis=-1)
 
+    def residuals(self, tests: Sequence[Forces], p: FloatArray) -> Sequence[FloatArray]:
+        """Residuals (n,) of all tests over their standard deviations, and derivatives (n, k)."""
+        parts = zip(*(test.residual(self, p) for test in tests), strict=True)
+        return [np.concatenate(part) for part in parts]
 
-Trial = tuple[list[str], Unknowns, OptimizeResult]  # the late parameters, the unknowns, the fit
+
+Trial = tuple[Unknowns, Any]  # with the OptimizeResult of the fit
 
 
 def fit(
@@ -129,61 +112,27 @@ def fit(
     keep: Mapping[str, float] | None = None,
     algorithm: str = "least-squares",
 ) -> Fit:
-    """Fit the three-stage law.
+    """Fit the three-stage law by the power balance, from the curve of the energy method.
 
-    Parameters
-    ----------
-    tests : sequence of Forces
-    curve : StressCurve
-        Result of the energy method, where the fit starts.
-    keep : mapping, optional
-        Parameters that are kept at these values, such as the onset and stiffness of locking.
-    algorithm : "least-squares" or "nelder-mead"
-
-    Raises
-    ------
-    InputError
-        For unknown names or values out of range.
+    Parameters in `keep`, such as onset and stiffness of locking, are not fitted. InputError for
+    unknown names or values out of range.
     """
     keep = check_kept(keep)
     if algorithm not in ALGORITHMS:
         raise InputError(f"unknown algorithm '{algorithm}': expected {' or '.join(ALGORITHMS)}")
-    top = float(np.sin(np.radians(curve.high)))
-
-    def residual(law: ThreeStageLaw) -> FloatArray:
-        return np.concatenate([(test.predicted(law) - test.force) / test.sigma for test in tests])
-
     if len(keep) == len(NAMES):
-        return whole(ThreeStageLaw(**keep), tests)
-    early = [name for name in NAMES[:4] if name not in keep]
-    late = [name for name in LOCKING if name not in keep]
-    trials = []
-    for law in stages(curve, keep):
-        with_late = late if law.I_lo < top else []
-        unknowns = Unknowns(law, [*early, *with_late])
-        trials.append((with_late, unknowns, search(unknowns, *_by_balance(residual, unknowns))))
-    _, unknowns, found = choose(trials)
+        law = ThreeStageLaw(**keep)
+        parameters = tuple(_parameter(name, keep[name], 0.0, "kept") for name in NAMES)
+        return Fit(law, parameters, relative_misfit(tests, law))
+    top, trials = float(np.sin(np.radians(curve.high))), []
+    for law in _starts(curve, keep):
+        tested = NAMES if law.I_lo < top else NAMES[:4]
+        free = [name for name in tested if name not in keep]
+        trials.append(search(tests, Unknowns(law, free)))
+    unknowns, found = choose(trials)
     if algorithm == "nelder-mead":
-        found = _nelder_mead(unknowns, residual)
-    law = unknowns.law(found.x)
-    relative = misfit_of([test.predicted(law) for test in tests], tests)
-    return report(law, unknowns, found, keep, top, relative)
-
-
-def whole(law: ThreeStageLaw, tests: Sequence[Forces]) -> Fit:
-    """Return a law that is kept as a whole with its misfit."""
-    kept = [
-        Parameter(n, getattr(law, n), getattr(law, n), getattr(law, n), UNITS[n], "kept")
-        for n in NAMES
-    ]
-    relative = misfit_of([test.predicted(law) for test in tests], tests)
-    return Fit(law, tuple(kept), _ends(law), relative)
-
-
-def _ends(law: ThreeStageLaw) -> tuple[float, float]:
-    """Shear angles where the first stage ends and the third begins, degrees."""
-    first, third = np.degrees(np.arcsin(np.minimum([law.S_ini / law.C_ini, law.I_lo], 1.0)))
-    return float(first), float(third)
+        found = _nelder_mead(tests, unknowns)
+    return report(tests, unknowns, found, keep)
 
 
 def check_kept(keep: Mapping[str, float] | None) -> dict[str, float]:
@@ -195,43 +144,47 @@ def check_kept(keep: Mapping[str, float] | None) -> dict[str, float]:
     return keep
 
 
-def _by_balance(residual: Callable, unknowns: Unknowns) -> tuple[Callable, Callable]:
-    """Residuals and their derivatives as functions of the unknowns."""
-    return lambda p: residual(unknowns.law(p)), lambda p: unknowns.slopes(p, residual)
+def search(tests: Sequence[Forces], unknowns: Unknowns, tolerance: float = 1e-10) -> Trial:
+    """Bounded least squares of the residuals of all tests, or models of tests.
 
+    InputError if a test cannot be solved under the law at the start.
+    """
 
-def search(
-    unknowns: Unknowns, residual: Callable, jacobian: Callable, tolerance: float = 1e-10
-) -> OptimizeResult:
-    """Bounded least squares from the start of the unknowns."""
-    return least_squares(
-        residual,
+    @lru_cache(maxsize=1)
+    def both(point: bytes) -> Sequence[FloatArray]:
+        return unknowns.residuals(tests, np.frombuffer(point))
+
+    if not np.isfinite(both(unknowns.start.tobytes())[0]).all():
+        raise InputError("a test finds no equilibrium under the law of the power balance")
+    return unknowns, sp.optimize.least_squares(
+        lambda p: both(p.tobytes())[0],
         unknowns.start,
-        jacobian,
-        bounds=unknowns.bounds,
+        lambda p: both(p.tobytes())[1],
+        unknowns.bounds,
         x_scale="jac",
-        xtol=tolerance,
-        ftol=tolerance,
-        gtol=tolerance,
         max_nfev=200,
+        **dict.fromkeys(("xtol", "ftol", "gtol"), tolerance),
     )
 
 
 def choose(trials: Sequence[Trial]) -> Trial:
-    """Best of several fits; a third stage has to earn its parameters (Bayes' criterion)."""
-    n = len(trials[0][2].fun)
-    noise = max(min(2 * found.cost for *_, found in trials) / n, 1e-300)
-    return min(trials, key=lambda trial: 2 * trial[2].cost / noise + len(trial[0]) * np.log(n))
+    """Best of several fits, by Bayes' criterion: each parameter of a third stage has a cost.
+
+    Of equal ones, that which started nearest: Nelder-Mead starts there again.
+    """
+    n = len(trials[0][1].fun)
+    noise = max(min(2 * found.cost for _, found in trials) / n, 1e-300)
+
+    def score(trial: Trial) -> tuple[float, float]:
+        unknowns, found = trial
+        price = len(set(unknowns.free) & set(LOCKING)) * np.log(n)
+        distance = np.linalg.norm(found.x - unknowns.start)
+        return round(2 * found.cost / noise + price, 6), float(distance)
+
+    return min(trials, key=score)
 
 
-def misfit_of(predicted: Sequence[FloatArray], tests: Sequence[Forces]) -> float:
-    """Root mean square of the relative deviation of the measured forces."""
-    pairs = zip(tests, predicted, strict=True)
-    relative = np.concatenate([test.force / force - 1 for test, force in pairs])
-    return float(np.sqrt(np.mean(relative**2)))
-
-
-def stages(curve: StressCurve, keep: Mapping[str, float]) -> list[ThreeStageLaw]:
+def _starts(curve: StressCurve, keep: Mapping[str, float]) -> list[ThreeStageLaw]:
     """Laws to start from: plateau and first stage read from the curve, onsets along its range.
 
     The last one has no third stage within the range.
@@ -243,21 +196,14 @@ def stages(curve: StressCurve, keep: Mapping[str, float]) -> list[ThreeStageLaw]
     C_ini = max(1.3 * S[0] / x[0], K[0], 1e-9)
     C_mid = max(float(K[flat]), 1e-3 * C_ini)
     dS_mid = max(float(S[flat] - K[flat] * x[flat]), 0.1 * float(S[flat]))
-    found = []
-    onsets = [*np.arange(0.25, top, 0.05), max(top, LONGEST + 0.01)]
+    first = {"C_ini": C_ini, "S_ini": 0.1 * dS_mid, "C_mid": C_mid, "dS_mid": dS_mid}
+    onsets, found = [*np.arange(0.25, top, 0.05), max(top, LONGEST + 0.01)], []
     for I_lo in [keep["I_lo"]] if "I_lo" in keep else onsets:
-        late = x > I_lo
-        z = x[late] - I_lo
-        excess = S[late] - S[flat] - C_mid * (x[late] - x[flat])
+        z = np.maximum(x - I_lo, 0.0)
+        excess = S - S[flat] - C_mid * (x - x[flat])
         C_lo = max(float(excess @ z**2 / max((z**4).sum(), 1e-300)), 0.1 * C_ini)
-        values = {
-            "C_ini": C_ini,
-            "S_ini": 0.1 * dS_mid,
-            "C_mid": C_mid,
-            "dS_mid": dS_mid,
-            "C_lo": C_lo if I_lo < top else 0.0,
-            "I_lo": float(I_lo),
-        } | dict(keep)
+        locking = {"C_lo": C_lo if I_lo < top else 0.0, "I_lo": float(I_lo)}
+        values = first | locking | dict(keep)
         if "S_ini" not in keep:
             values["S_ini"] = min(values["S_ini"], LONGEST * values["C_ini"])
         elif "C_ini" not in keep:
@@ -267,28 +213,21 @@ def stages(curve: StressCurve, keep: Mapping[str, float]) -> list[ThreeStageLaw]
 
 
 def report(
-    law: ThreeStageLaw,
-    unknowns: Unknowns,
-    found: OptimizeResult,
-    keep: Mapping[str, float],
-    top: float,
-    misfit: float,
+    tests: Sequence[Forces], unknowns: Unknowns, found: Any, keep: Mapping[str, float]
 ) -> Fit:
-    """Intervals from the curvature at the least squares, widened where residuals are correlated."""
+    """Intervals from the curvature at the minimum, wider where the residuals are correlated."""
     p, J, r = found.x, found.jac, found.fun
-    freedom = max(len(r) - len(p), 1)
-    variance = float(r @ r) / freedom
+    law, freedom = unknowns.law(p), max(len(r) - len(p), 1)
     lag = float(np.clip((r[1:] @ r[:-1]) / max(r @ r, 1e-300), 0.0, 0.95))
-    variance *= (1 + lag) / (1 - lag)
-    # a direction that the tests do not see has no bound
+    variance = float(r @ r) / freedom * (1 + lag) / (1 - lag)
+    # a direction that does not change the forces has no bound
     size = np.linalg.norm(J, axis=0)
     size = np.maximum(size, 1e-12 * size.max())
     _, s, Vt = np.linalg.svd(J / size, full_matrices=False)
     spread = Vt.T / np.where(s > 1e-9 * s[0], s, 1e-30) / size[:, None]
-    covariance = variance * spread @ spread.T
     native = unknowns.slopes(p, lambda law: np.array([getattr(law, name) for name in NAMES]))
-    deviation = np.sqrt(np.einsum("ij,jk,ik->i", native, covariance, native))
-    reach = stdtrit(freedom, 0.975) * deviation
+    deviation = np.sqrt(variance) * np.linalg.norm(native @ spread, axis=1)
+    reach = sp.special.stdtrit(freedom, 0.975) * deviation
     parameters = []
     for name, half in zip(NAMES, reach.tolist(), strict=True):
         value = float(getattr(law, name))
@@ -298,38 +237,32 @@ def report(
             state, half = "not tested", np.nan
         else:
             state = "fitted" if half < value else "not identified"
-        parameters.append(
-            Parameter(name, value, max(value - half, 0.0), value + half, UNITS[name], state)
-        )
-    return Fit(law, tuple(parameters), _ends(law), misfit)
+        parameters.append(_parameter(name, value, half, state))
+    return Fit(law, tuple(parameters), relative_misfit(tests, law))
 
 
-def _nelder_mead(unknowns: Unknowns, residual: Callable) -> OptimizeResult:
-    """Simplex search as in the paper, from the stages' start; restarted until it stays."""
+def _parameter(name: str, value: float, half: float, state: str) -> Parameter:
+    unit = "1" if name == "I_lo" else "MPa"
+    return Parameter(name, value, max(value - half, 0.0), value + half, unit, state)
+
+
+def _nelder_mead(tests: Sequence[Forces], unknowns: Unknowns) -> Any:
+    """Simplex search as in the paper, repeated from its result until that stays."""
 
     def cost(p: FloatArray) -> float:
         if (p < unknowns.bounds[0]).any() or (p > unknowns.bounds[1]).any():
             return np.inf
-        return float((residual(unknowns.law(p)) ** 2).sum())
+        law = unknowns.law(p)
+        off = [(test.predicted(law) - test.force) / test.sigma for test in tests]
+        return float((np.concatenate(off) ** 2).sum())
 
     p, best = unknowns.start, np.inf
+    settings = {"maxiter": 4000, "maxfev": 4000, "xatol": 1e-10, "fatol": 1e-12, "adaptive": True}
     for _ in range(20):
-        found = minimize(
-            cost,
-            p,
-            method="Nelder-Mead",
-            options={
-                "maxiter": 4000,
-                "maxfev": 4000,
-                "xatol": 1e-10,
-                "fatol": 1e-12,
-                "adaptive": True,
-            },
-        )
+        found = sp.optimize.minimize(cost, p, method="Nelder-Mead", options=settings)
         p = found.x
         if found.fun > (1 - 1e-6) * best:
             break
         best = found.fun
-    found.fun = residual(unknowns.law(p))
-    found.jac = unknowns.slopes(p, residual)
+    found.fun, found.jac = unknowns.residuals(tests, p)
     return found

@@ -1,12 +1,12 @@
-"""From a campaign of tests to a fabric, and its files."""
+"""A fabric from a campaign of tests, and its files."""
 
 from __future__ import annotations
 
 import csv
 import hashlib
 import json
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict, astuple, dataclass, replace
 from datetime import date
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ import numpy as np
 from ..checks import InputError
 from ..fabric import Fabric
 from ..result.files import replaced
-from ..result.run import package_version
+from ..result.summary import package_version
 from .campaign import ASSUMED, METHODS, VALUES, Campaign, load
 from .energy_method import StressCurve, energy_method
 from .fit import Fit, Parameter, fit
@@ -27,22 +27,22 @@ FILES = ("material.toml", "parameters.csv", "stress.csv", "summary.json", "ident
 
 @dataclass(frozen=True)
 class Identification:
-    """A fabric with what it was identified from.
+    """A fabric and the data it was identified from.
 
     Parameters
     ----------
     campaign : Campaign
     fabric : Fabric
-        With its provenance: `standing` is that of the tests, and of the values in `standing_of`
-        alone; of every value there is an entry of its name that says where it comes from.
+        With its provenance: `standing` is the origin of the tests and holds for the values listed
+        in `standing_of` only; each value has an entry of its own name with its origin.
     curve : StressCurve or None
         S12 by the energy method; None without tests in shear.
     fitted : Fit or None
         The six parameters; None for a table.
     parameters : tuple of Parameter
-        All that was identified, bending included.
+        All identified parameters, bending included.
     notices : tuple of str
-        What was found odd in the data, and what was made of it.
+        Peculiarities of the data, and how each was handled.
     """
 
     campaign: Campaign
@@ -60,7 +60,7 @@ class Identification:
         out : path
             Folder; made if missing.
         force : bool
-            Replace what was identified before.
+            Replace an earlier identification.
 
         Raises
         ------
@@ -69,23 +69,20 @@ class Identification:
         """
         with replaced(out, force=force, names=FILES) as folder:
             self.fabric.save(folder / "material.toml")
-            _write(
-                folder / "parameters.csv",
-                ["name", "value", "low_95", "high_95", "unit", "state"],
-                [[p.name, p.value, p.low, p.high, p.unit, p.state] for p in self.parameters],
-            )
-            if self.curve is not None:
-                _write(folder / "stress.csv", *self._stress())
+            head = ["name", "value", "low_95", "high_95", "unit", "state"]
+            _write(folder / "parameters.csv", head, [astuple(p) for p in self.parameters])
             summary = json.dumps(self.summary(), indent=2, allow_nan=False)
             (folder / "summary.json").write_text(summary + "\n", encoding="utf-8")
             if self.curve is not None:
                 from .picture import save_picture
 
+                columns = self.stress()
+                _write(folder / "stress.csv", columns, np.transpose([*columns.values()]).tolist())
                 save_picture(self, folder / "identification.png")
         return Path(out)
 
     def summary(self) -> dict[str, Any]:
-        """What `summary.json` holds."""
+        """Content of `summary.json`."""
         return {
             "case": self.campaign.name,
             "version": package_version(),
@@ -97,14 +94,18 @@ class Identification:
             "notices": list(self.notices),
         }
 
-    def _stress(self) -> tuple[list[str], list[list[float]]]:
-        curve = self.curve
-        gamma = np.linspace(curve.low, curve.high, 100)
-        I6 = np.minimum(np.sin(np.radians(gamma)), curve.spline.t[-1])
-        S, half = curve.stress(I6), 2.0 * curve.deviation(I6)
-        law = self.fabric.shear.stress(I6)
-        head = ["shear_angle_deg", "S12_MPa", "S12_low_MPa", "S12_high_MPa", "S12_law_MPa"]
-        return head, np.column_stack([gamma, S, np.maximum(S - half, 0), S + half, law]).tolist()
+    def stress(self, n: int = 100) -> dict[str, np.ndarray]:
+        """S12 over the tested shear angles with its 95 % band, and by the law: columns of (n,)."""
+        gamma = np.linspace(self.curve.low, self.curve.high, n)
+        I6 = np.minimum(np.sin(np.radians(gamma)), self.curve.spline.t[-1])
+        S, half = self.curve.stress(I6), 2.0 * self.curve.deviation(I6)
+        return {
+            "shear_angle_deg": gamma,
+            "S12_MPa": S,
+            "S12_low_MPa": np.maximum(S - half, 0),
+            "S12_high_MPa": S + half,
+            "S12_law_MPa": self.fabric.shear.stress(I6),
+        }
 
 
 def identify(source: str | Path | Campaign, **given: Any) -> Identification:
@@ -126,17 +127,15 @@ def identify(source: str | Path | Campaign, **given: Any) -> Identification:
     Raises
     ------
     InputError
-        For data or settings that cannot be used, in one line.
+        For data or settings that cannot be used.
 
     References
     ----------
     .. [1] J. Cao et al., Composites Part A 39 (2008) 1037-1053, Eq. 18, for the coefficient of
        Eq. 10 that conserves energy.
     """
-    if isinstance(source, Campaign):
-        campaign = replace(source, **given)
-    else:
-        campaign = load(source, **given)
+    own = isinstance(source, Campaign)
+    campaign = replace(source, **given) if own else load(source, **given)
     fabric, curve, fitted = campaign.fabric, None, None
     parameters: list[Parameter] = []
     notices = [notice for test in campaign.shear for notice in test.curve.notices]
@@ -148,93 +147,71 @@ def identify(source: str | Path | Campaign, **given: Any) -> Identification:
             parameters += fitted.parameters
             notices += _remarks(fitted, curve)
     for family, stiffness in campaign.bending.items():
-        name, half = f"bending_{family}", 2.0 * stiffness.standard_error
-        low, high = stiffness.value - half, stiffness.value + half
-        parameters.append(Parameter(name, stiffness.value, low, high, "N mm", "fitted"))
-        off = 100 * (stiffness.classical / stiffness.value - 1)
+        name, value, half = f"bending_{family}", stiffness.value, 2.0 * stiffness.standard_error
+        parameters.append(Parameter(name, value, value - half, value + half, "N mm", "fitted"))
+        off = 100 * (stiffness.classical / value - 1)
         notices.append(f"{name} by Peirce's formula {stiffness.classical:.4g} N mm ({off:+.1f} %)")
-        fabric = replace(fabric, **{name: stiffness.value})
-    quality = None if curve is None else (curve if fitted is None else fitted).misfit
+        fabric = replace(fabric, **{name: value})
     origins = _origins(campaign, fitted)
-    notices += _not_tested(origins)
-    provenance = _provenance(campaign, curve, quality, origins)
+    for base in dict.fromkeys(o for o in origins.values() if o.startswith(ASSUMED)):
+        names = ", ".join(name for name, origin in origins.items() if origin == base)
+        notices.append(f"not in these tests, taken from {base.removeprefix(ASSUMED)}: {names}")
+    provenance = _provenance(campaign, curve, fitted, origins)
     fabric = replace(fabric, name=campaign.name, provenance=provenance)
     return Identification(campaign, fabric, curve, fitted, tuple(parameters), tuple(notices))
 
 
 def _shear(campaign: Campaign) -> tuple[StressCurve, Fit | None]:
+    """S12 by the energy method, and the fitted law unless a table is asked for."""
     as_printed = campaign.method == "as-printed"
-    thickness = campaign.fabric.thickness
-    forces = [test.forces(thickness, as_printed) for test in campaign.shear]
+    forces = [test.forces(campaign.fabric.thickness, as_printed) for test in campaign.shear]
     curve = energy_method(forces)
     if campaign.method == "table":
         return curve, None
     fitted = fit(forces, curve, campaign.keep, campaign.algorithm)
     if campaign.method == "inverse":
-        measured = [
-            (test.specimen, test.curve, force)
-            for test, force in zip(campaign.shear, forces, strict=True)
-        ]
-        fitted = identify_by_elements(
-            measured, fitted, campaign.fabric, campaign.size, campaign.keep
-        )
+        pairs = zip(campaign.shear, forces, strict=True)
+        tests = [(test.specimen, test.curve, force) for test, force in pairs]
+        fitted = identify_by_elements(tests, fitted, campaign.fabric, campaign.size, campaign.keep)
     return curve, fitted
 
 
-def _remarks(fitted: Fit, curve: StressCurve) -> list[str]:
-    loose = [p.name for p in fitted.parameters if p.state == "not identified"]
-    found = []
-    if loose:
-        found.append(f"not identified by these tests: {', '.join(loose)}")
-    if any(p.state == "not tested" for p in fitted.parameters):
+def _remarks(fitted: Fit, curve: StressCurve) -> Iterator[str]:
+    if names := _in_state(fitted, "not identified"):
+        yield f"not identified by these tests: {names}"
+    if _in_state(fitted, "not tested"):
         words = "the law has none" if fitted.law.C_lo == 0 else "the law has it from there on"
-        found.append(
-            f"no locking up to {curve.high:.1f} degrees: {words} (keep C_lo and I_lo to set it)"
-        )
-    return found
+        yield f"no locking up to {curve.high:.1f} degrees: {words} (keep C_lo and I_lo to set it)"
+
+
+def _in_state(fitted: Fit | None, state: str) -> str:
+    """Names of the parameters in a state."""
+    return ", ".join(p.name for p in (fitted.parameters if fitted else ()) if p.state == state)
 
 
 def _tested(campaign: Campaign) -> list[str]:
-    """Names of the values that the tests have given."""
+    """Names of the values that follow from the tests."""
     shear = ["shear", "shear_range"] if campaign.shear else []
     return [*shear, *(f"bending_{family}" for family in campaign.bending)]
 
 
 def _origins(campaign: Campaign, fitted: Fit | None) -> dict[str, str]:
-    """Where each value of the fabric comes from, and what else went into those of the tests."""
+    """Origin of each value of the fabric, and the assumptions in those of the tests."""
     fabric = campaign.fabric
     origins = {name: str(fabric.provenance.get(name, f"{ASSUMED}{fabric.name}")) for name in VALUES}
     found = dict.fromkeys(_tested(campaign), campaign.standing)
-    for name, divisor in (
-        ("shear", "thickness"),
-        ("bending_warp", "areal_weight"),
-        ("bending_weft", "areal_weight"),
-    ):
-        if name in found and origins[divisor].startswith(ASSUMED):
+    for name in found.keys() - {"shear_range"}:
+        divisor = "thickness" if name == "shear" else "areal_weight"
+        if origins[divisor].startswith(ASSUMED):
             found[name] += f", with an assumed {divisor}"
     for state in ("kept", "not identified", "not tested"):
-        if names := [p.name for p in (fitted.parameters if fitted else ()) if p.state == state]:
-            found["shear"] += f"; {state}: {', '.join(names)}"
+        if names := _in_state(fitted, state):
+            found["shear"] += f"; {state}: {names}"
     return origins | found
 
 
-def _not_tested(origins: Mapping[str, str]) -> list[str]:
-    """Say which values are those of another fabric, a sentence for each of these."""
-    borrowed: dict[str, list[str]] = {}
-    for name, origin in origins.items():
-        if origin.startswith(ASSUMED):
-            borrowed.setdefault(origin.removeprefix(ASSUMED), []).append(name)
-    return [
-        f"not in these tests, taken from {fabric}: {', '.join(names)}"
-        for fabric, names in borrowed.items()
-    ]
-
-
 def _provenance(
-    campaign: Campaign,
-    curve: StressCurve | None,
-    misfit: float | None,
-    origins: Mapping[str, str],
+    campaign: Campaign, curve: StressCurve | None, fitted: Fit | None, origins: Mapping[str, str]
 ) -> Mapping[str, str | float]:
     entries: dict[str, str | float] = {
         "standing": campaign.standing,
@@ -249,7 +226,7 @@ def _provenance(
             "algorithm": campaign.algorithm,
             "tested_from_deg": round(curve.low, 3),
             "tested_to_deg": round(curve.high, 3),
-            "force_misfit_percent": float(f"{100 * misfit:.3g}"),
+            "force_misfit_percent": float(f"{100 * (fitted or curve).misfit:.3g}"),
         }
     if campaign.keep:
         entries["kept"] = ", ".join(f"{k} = {v:g}" for k, v in campaign.keep.items())
@@ -262,12 +239,11 @@ def _provenance(
     return entries
 
 
-def _write(path: Path, head: list[str], rows: list[list[Any]]) -> None:
+def _write(path: Path, head: Iterable[str], rows: Iterable[Iterable[Any]]) -> None:
+    """Write a CSV file; the cell of an unknown number is empty."""
+
+    def cell(value: Any) -> Any:
+        return f"{value:.8g}".replace("nan", "") if isinstance(value, float) else value
+
     with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(head)
-        for row in rows:
-            # no bound is known where a cell stays empty
-            writer.writerow(
-                [("" if v != v else f"{v:.8g}") if isinstance(v, float) else v for v in row]
-            )
+        csv.writer(file).writerows([head, *(map(cell, row) for row in rows)])

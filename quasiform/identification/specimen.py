@@ -1,12 +1,12 @@
-"""Specimens: which shear angles a test holds at once, and what each adds to the force.
+"""Specimens: the shear angles that a test has at the same time, and their shares in the force.
 
 With inextensible fibres the power balance of a test reads
 
     force = Σ_k share_k S12(sin γ_k),    share_k = t0 A_k cos γ_k dγ_k/du
 
-over its zones k, which is linear in the unknown S12. At 45° the zones are the full one at γ and the
-half ones at γ/2, and solved for S12(γ) the balance is Eq. 10 of Schäfer et al. with the coefficient
-of S12(γ/2) that conserves energy (`theory.OffAxisTension`); the printed one is half of it.
+over its zones k, linear in the unknown S12. At 45° a full zone has γ and half ones γ/2: solved for
+S12(γ), this is Eq. 10 of Schäfer et al. with the coefficient of S12(γ/2) that conserves energy
+(`theory.OffAxisTension`); the printed one is half of it.
 """
 
 from __future__ import annotations
@@ -21,33 +21,23 @@ from ..theory import OffAxisTension
 from .records import Curve
 
 FloatArray = np.ndarray
+Shares = tuple[FloatArray, FloatArray]
 
 
 @dataclass(frozen=True)
 class OffAxis:
     """Off-axis tension test of a strip (bias extension at 45°).
 
-    Parameters
-    ----------
-    length, width : float
-        l0 between the grips and w0, mm.
-    angle : float
-        Θ0 between load and warp, degrees.
-
-    Raises
-    ------
-    InputError
-        If a size is not positive or a fibre joins both grips.
+    InputError if a size is not positive or a fibre joins both grips.
     """
 
-    length: float = 320.0
-    width: float = 160.0
-    angle: float = 45.0
+    length: float = 320.0  # l0 between the grips, mm
+    width: float = 160.0  # w0, mm
+    angle: float = 45.0  # Θ0 between load and warp, degrees
 
     def __post_init__(self) -> None:
-        check_number("length", self.length)
-        check_number("width", self.width)
-        check_number("angle", self.angle)
+        for name in ("length", "width", "angle"):
+            check_number(name, getattr(self, name))
         try:
             _ = self.net
         except ValueError as error:
@@ -59,63 +49,46 @@ class OffAxis:
         return OffAxisTension(self.length, self.width, np.radians(self.angle))
 
     def described(self, curve: Curve) -> str:
-        """The specimen in words; empty where the curve needs none of its sizes."""
+        """The specimen as text; empty where its sizes are not needed."""
         return f"strip of {self.length:g} x {self.width:g} mm at {self.angle:g} degrees"
 
     def displacement(self, curve: Curve) -> FloatArray:
-        """(n,) grip displacement of the rows, mm: the one measured, or that of a measured angle.
+        """(n,) grip displacement of the rows, mm: the measured one, or that of a measured angle.
 
-        Raises
-        ------
-        InputError
-            Beyond the limit of inextensible fibres.
+        InputError beyond the limit of inextensible fibres.
         """
-        D, _ = self.net.chord
-        if curve.displacement is not None:
-            u, limit = curve.displacement, self.net.displacement_limit
-            if u.max() >= limit:
-                raise InputError(
-                    f"the displacement reaches {u.max():.4g} mm, but at {limit:.4g} mm the net of "
-                    "inextensible fibres has collapsed: cut the record, or check length and width"
-                )
-            return u
-        _check_angle(curve.shear_angle)
-        I6 = np.sin(curve.shear_angle)
-        return np.sqrt(D**2 + 2 * self.net.alpha * self.net.beta * I6) - D
+        u, limit = curve.displacement, self.net.displacement_limit
+        if u is None:
+            I6, (D, _) = np.sin(_checked(curve.shear_angle)), self.net.chord
+            return np.sqrt(D**2 + 2 * self.net.alpha * self.net.beta * I6) - D
+        if u.max() >= limit:
+            raise InputError(
+                f"the displacement reaches {u.max():.4g} mm, but at {limit:.4g} mm the net of "
+                "inextensible fibres has collapsed: cut the record, or check length and width"
+            )
+        return u
 
-    def shares(
-        self, curve: Curve, thickness: float, as_printed: bool = False
-    ) -> tuple[FloatArray, FloatArray]:
+    def shares(self, curve: Curve, thickness: float, as_printed: bool = False) -> Shares:
         """Shares of the zones in the force, (3, n) in mm², and their angles, (3, n) in radians.
 
-        A measured angle takes the place of the kinematic one in the full zone and, in proportion,
-        in the others. With `as_printed` the half zones count for half, as in the paper's Eq. 10.
+        A measured angle replaces the kinematic one in the full zone; the others change in
+        proportion. With `as_printed` the half zones count for half, as in the paper's Eq. 10.
         """
         u = self.displacement(curve)
         angles, rates = self.net.angles(u), self.net.angle_rates(u)
         if curve.shear_angle is not None:
-            _check_angle(curve.shear_angle)
-            moved = angles[0] > 0
-            part = np.divide(curve.shear_angle, angles[0], out=np.ones_like(u), where=moved)
-            angles = angles * part
+            gamma, moved = _checked(curve.shear_angle), angles[0] > 0
+            angles = angles * np.divide(gamma, angles[0], out=np.ones_like(u), where=moved)
         areas = self.net.zone_areas[:3] * ([1.0, 0.5, 0.5] if as_printed else 1.0)
         return thickness * areas[:, None] * np.cos(angles) * rates, angles
 
 
 @dataclass(frozen=True)
 class PictureFrame:
-    """Picture frame, pulled along its diagonal.
+    """Picture frame, pulled along its diagonal."""
 
-    Parameters
-    ----------
-    side : float
-        Side L of the frame between its hinges, mm.
-    fabric_side : float, optional
-        Side of the sheared fabric, mm, where that is smaller than the frame.
-    """
-
-    side: float = 100.0
-    fabric_side: float | None = None
+    side: float = 100.0  # L of the frame between its hinges, mm
+    fabric_side: float | None = None  # of the sheared fabric, mm, where it is smaller
 
     def __post_init__(self) -> None:
         check_number("side", self.side)
@@ -123,7 +96,7 @@ class PictureFrame:
             check_number("fabric_side", self.fabric_side)
 
     def described(self, curve: Curve) -> str:
-        """The specimen in words; empty where the curve needs none of its sizes."""
+        """The specimen as text; empty where its sizes are not needed."""
         if curve.per_length and curve.shear_angle is not None:
             return ""
         fabric = f", fabric of {self.fabric_side:g} mm" if self.fabric_side else ""
@@ -132,14 +105,10 @@ class PictureFrame:
     def angle(self, curve: Curve) -> FloatArray:
         """(n,) shear angle of the rows, radians: measured, or that of the hinged frame.
 
-        Raises
-        ------
-        InputError
-            Beyond the limit of the frame.
+        InputError beyond the limit of the frame.
         """
         if curve.shear_angle is not None:
-            _check_angle(curve.shear_angle)
-            return curve.shear_angle
+            return _checked(curve.shear_angle)
         half = (np.sqrt(2.0) * self.side + curve.displacement) / (2.0 * self.side)
         if half.max() >= 1.0:
             raise InputError(
@@ -148,17 +117,14 @@ class PictureFrame:
             )
         return np.pi / 2 - 2.0 * np.arccos(half)
 
-    def shares(
-        self, curve: Curve, thickness: float, as_printed: bool = False
-    ) -> tuple[FloatArray, FloatArray]:
+    def shares(self, curve: Curve, thickness: float, as_printed: bool = False) -> Shares:
         """Share of the only zone in the force, (1, n) in mm², and its angle, (1, n) in radians.
 
         A force per length of fabric is F_sh = t0 S12 itself.
         """
-        gamma = self.angle(curve)
+        gamma, fabric = self.angle(curve), self.fabric_side or self.side
         if curve.per_length:
             return np.full((1, len(gamma)), thickness), gamma[None]
-        fabric = self.fabric_side or self.side
         share = 2.0 * thickness * fabric**2 / self.side * np.cos(np.pi / 4 - gamma / 2)
         return share[None], gamma[None]
 
@@ -166,9 +132,11 @@ class PictureFrame:
 Specimen = OffAxis | PictureFrame
 
 
-def _check_angle(gamma: FloatArray) -> None:
+def _checked(gamma: FloatArray) -> FloatArray:
+    """The measured shear angles; InputError where they are impossible."""
     if np.abs(gamma).max() >= np.pi / 2:
         raise InputError(
             f"the shear angle reaches {np.degrees(np.abs(gamma).max()):.4g} degrees, "
             "beyond the limit of 90: check its unit"
         )
+    return gamma

@@ -17,7 +17,6 @@ from functools import cache
 from math import atan2, pi
 
 import numpy as np
-import shapely
 
 from ..checks import InputError
 
@@ -43,6 +42,8 @@ def cut_net(
     first : (2,) array
         Diagonals run through the net's node here, unless the outline itself runs along diagonals.
     """
+    import shapely
+
     # lines on either side of all, for what stands over
     lines = [
         np.r_[min(line[0], r.min()) - 10 * near, line, max(line[-1], r.max()) + 10 * near]

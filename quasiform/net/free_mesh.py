@@ -7,16 +7,18 @@ quadrilaterals of the mesh, and for triangles the pairing with the best quadrila
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import shapely
-from scipy.optimize import Bounds, LinearConstraint, milp
 from scipy.sparse import csc_array
 
-from ..checks import InputError, check_file, check_number
-from ..tools.surface_file import check_numbers, naming, optional, read_mesh
-from .blank import MOST_TRIANGLES, Blank, rotation
-from .outline import check_unit
+from ..checks import InputError, check_file, check_number, naming, optional
+from ..tools.mending import check_numbers
+from ..tools.surface_file import read_mesh
+from .blank import MOST_TRIANGLES, Blank, check_unit, rotation
+
+if TYPE_CHECKING:
+    import shapely
 
 FloatArray = np.ndarray
 IntArray = np.ndarray
@@ -46,6 +48,8 @@ def triangulate(outline: shapely.Polygon, size: float, orientation: float = 0.0)
     InputError
         For a bad size, or without gmsh.
     """
+    import shapely
+
     check_number("size", size)
     if not 2 * outline.area < MOST_TRIANGLES * size**2:
         raise InputError(f"size {size:g} mm makes more than {MOST_TRIANGLES:.0e} triangles")
@@ -120,6 +124,8 @@ def own_mesh(path: str | Path, orientation: float = 0.0, scale: float = 1.0) -> 
 
 def outline_of(blank: Blank) -> shapely.Polygon:
     """Return the outline of a blank with its holes."""
+    import shapely
+
     outer, *holes = (blank.nodes[loop] for loop in blank.outline)
     return shapely.Polygon(outer, holes)
 
@@ -159,6 +165,8 @@ def _pairs(blank: Blank, count: int) -> IntArray:
 
     A matching of most weight in the graph of neighbours; what stays alone is paired with itself.
     """
+    from scipy.optimize import Bounds, LinearConstraint, milp
+
     mesh, nodes = blank.mesh, blank.nodes
     inner = np.flatnonzero((mesh.f2t[1] >= 0) & (mesh.f2t < count).all(0))
     if not len(inner):

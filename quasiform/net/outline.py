@@ -6,25 +6,23 @@ lines whose ends meet become loops; the largest loop is the outline and those in
 
 from __future__ import annotations
 
+import itertools
 import logging
 import re
 from collections.abc import Iterable, Sequence
-from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 import shapely
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
-from ..checks import InputError, check_file, check_number
-from ..tools.surface_file import CAD, MESHES, read_surface
+from ..checks import InputError, check_file, check_number, naming, optional
+from ..tools.mending import edges_of, together
+from ..tools.surface_file import KINDS, read_surface
+from .blank import check_unit
 
 FloatArray = np.ndarray
 CHORD = 0.01  # mm, largest distance of a polygon from the curve it stands for
 GAP = 0.05  # mm, ends of lines nearer than this meet
-SMALLEST, LARGEST = 5.0, 20e3  # mm across; beyond, the unit of a file is doubted
 TABLES = (".csv", ".txt", ".xy", ".dat")
 
 
@@ -96,8 +94,8 @@ def read_outline(path: str | Path, scale: float = 1.0) -> shapely.Polygon:
     .dxf                              lines, polylines, arcs, circles, ellipses and splines of the
                                       model space, also in blocks; ends nearer than 0.05 mm meet,
                                       open lines inside the outline are ignored; needs ezdxf
-    .msh .vtu .vtk .stl .obj .ply     the rim of a flat mesh
-    .step .iges .brep .geo            the rim of a flat surface; needs gmsh
+    .msh .vtu .vtk .stl .obj .ply     the rim of a flat mesh; .stl needs trimesh
+    .step .iges .brep                 the rim of a flat surface; needs gmsh
     .csv .txt .xy .dat                a corner x, y a line, with or without a heading
     ================================  ============================================================
 
@@ -120,28 +118,21 @@ def read_outline(path: str | Path, scale: float = 1.0) -> shapely.Polygon:
     """
     path = Path(path)
     kind = path.suffix.lower()
-    try:
+    with naming(path):
         check_number("scale", scale)
         if kind in (".dxf", *TABLES):
             check_file(path)
         if kind == ".dxf":
             outline = _from_lines(_drawn(path, scale), GAP)
-        elif kind in MESHES or kind in CAD:
+        elif kind in KINDS:
             outline = _from_lines(_rim(*read_surface(path, scale)), 0.0)
         elif kind in TABLES:
             outline = _loop(scale * _table(path.read_text(encoding="utf-8-sig")))
         else:
-            known = ", ".join([".dxf", *MESHES, *CAD, *TABLES])
+            known = ", ".join([".dxf", *KINDS, *TABLES])
             raise InputError(f"unknown kind of outline '{kind}': expected one of {known}")
         low_x, low_y, high_x, high_y = outline.bounds
         check_unit(max(high_x - low_x, high_y - low_y), scale)
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: {error}") from error
-    except InputError as error:
-        named = str(error).startswith(str(path))
-        raise InputError(str(error) if named else f"{path}: {error}") from error
     return outline
 
 
@@ -169,13 +160,11 @@ def _table(text: str) -> FloatArray:
 
 def _drawn(path: Path, scale: float) -> list[FloatArray]:
     """Lines (n, 2), mm, of the model space of a drawing."""
-    try:
-        ezdxf = import_module("ezdxf")
-        paths, blocks = import_module("ezdxf.path"), import_module("ezdxf.disassemble")
-        units = import_module("ezdxf.units")
-        logging.getLogger("ezdxf").addHandler(logging.NullHandler())  # else it prints warnings
-    except ImportError as error:
-        raise InputError("a .dxf file needs ezdxf: pip install 'quasiform[cad]'") from error
+    ezdxf, paths, blocks, units = (
+        optional(f"ezdxf{part}", "cad", "a .dxf file needs ezdxf")
+        for part in ("", ".path", ".disassemble", ".units")
+    )
+    logging.getLogger("ezdxf").addHandler(logging.NullHandler())  # else it prints warnings
     try:
         drawing = ezdxf.readfile(path)
         unit = drawing.header.get("$INSUNITS", 0)
@@ -200,9 +189,8 @@ def _rim(vertices: FloatArray, triangles: np.ndarray) -> list[FloatArray]:
     """Edges (2, 2) that belong to one triangle only, of a flat mesh."""
     if np.ptp(vertices[:, 2]) > 1e-3 * np.ptp(vertices, axis=0).max():
         raise InputError(f"the surface is not flat: its z spans {np.ptp(vertices[:, 2]):.3g} mm")
-    edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    edges, count = np.unique(edges, axis=0, return_counts=True)
-    return list(vertices[edges[count == 1], :2])
+    edges, count, _ = edges_of(triangles)
+    return list(vertices[np.sort(edges[count == 1], axis=1), :2])
 
 
 def _from_lines(lines: list[FloatArray], gap: float) -> shapely.Polygon:
@@ -212,7 +200,8 @@ def _from_lines(lines: list[FloatArray], gap: float) -> shapely.Polygon:
         raise InputError("no lines found")
     merged = shapely.get_parts(shapely.line_merge(shapely.MultiLineString(lines)))
     closed = shapely.is_closed(merged)
-    loops = sorted((_loop(shapely.get_coordinates(m)) for m in merged[closed]), key=_minus_area)
+    loops = [_loop(shapely.get_coordinates(line)) for line in merged[closed]]
+    loops.sort(key=lambda loop: -loop.area)
     loose = merged[~closed]
     if len(loops):
         loose = loose[~shapely.covers(loops[0].buffer(GAP), loose)]
@@ -230,17 +219,12 @@ def _from_lines(lines: list[FloatArray], gap: float) -> shapely.Polygon:
                 f"more than one outline: a second loop near {_place(hole.centroid)} does not lie "
                 "inside the largest"
             )
-    for k, hole in enumerate(holes):
-        for other in holes[k + 1 :]:
-            if hole.intersects(other):
-                raise InputError(
-                    f"a loop lies inside or across another hole near {_place(other.centroid)}"
-                )
+    for hole, other in itertools.combinations(holes, 2):
+        if hole.intersects(other):
+            raise InputError(
+                f"a loop lies inside or across another hole near {_place(other.centroid)}"
+            )
     return shapely.orient_polygons(with_holes(outline, holes))
-
-
-def _minus_area(shape: shapely.Polygon) -> float:
-    return -shape.area
 
 
 def _joined(lines: list[FloatArray], gap: float) -> list[FloatArray]:
@@ -249,11 +233,7 @@ def _joined(lines: list[FloatArray], gap: float) -> list[FloatArray]:
     if not lines:
         return []
     ends = np.vstack([line[[0, -1]] for line in lines])
-    pairs = cKDTree(ends).query_pairs(gap, output_type="ndarray")
-    links = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(ends), len(ends)))
-    count, group = connected_components(links, directed=False)
-    share = np.bincount(group, minlength=count)[:, None]
-    middle = np.stack([np.bincount(group, x, minlength=count) for x in ends.T], axis=1) / share
+    middle, group, _ = together(ends, gap)
     different = {}
     for line, (start, end) in zip(lines, middle[group.reshape(-1, 2)], strict=True):
         line = np.vstack([start, line[1:-1], end])
@@ -264,6 +244,8 @@ def _joined(lines: list[FloatArray], gap: float) -> list[FloatArray]:
 
 def _open_end(lines: np.ndarray) -> str:
     """Say where lines that do not close end or branch."""
+    from scipy.spatial import cKDTree
+
     ends = np.vstack([shapely.get_coordinates(line)[[0, -1]] for line in lines])
     points, times = np.unique(ends, axis=0, return_counts=True)
     free = points[times == 1]
@@ -291,20 +273,6 @@ def _loop(points: FloatArray) -> shapely.Polygon:
     if loop.area <= 1e-9 * loop.length**2:
         raise InputError("the outline encloses no area")
     return shapely.orient_polygons(loop)
-
-
-def check_unit(across: float, scale: float) -> None:
-    """Doubt the unit of a blank that is a few mm or many metres across.
-
-    Raises
-    ------
-    InputError
-    """
-    if not SMALLEST <= across <= LARGEST:
-        unit, factor = ("metres", 1000.0) if across < SMALLEST else ("micrometres", 1e-3)
-        raise InputError(
-            f"the blank is {across:.3g} mm across: is it in {unit}? set scale = {factor * scale:g}"
-        )
 
 
 def _place(point: shapely.Point | Iterable[float]) -> str:

@@ -15,10 +15,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, Protocol
+from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
-from scipy.spatial import ConvexHull, HalfspaceIntersection
 
 from ..checks import InputError, check_number
 
@@ -78,36 +77,15 @@ class Rounded:
     @cached_property
     def _features(self) -> _Features:
         core, none = self.core, np.zeros((0, 3))
-        if len(core) == 1:
-            return _Features(core, none, none, np.zeros(0), none, np.zeros(0), none, np.zeros(0))
+        edges, n, c, sides, at_side = core[None, :0], none, np.zeros(0), none, np.zeros(0)
         if len(core) == 2:
-            edges, corners, n, c = core[None], core, none, np.zeros(0)
-            sides, at_side = none, np.zeros(0)
-        else:
-            if np.linalg.matrix_rank(core - core.mean(0), tol=1e-9 * np.ptp(core)) < 3:
-                raise InputError("the core of a rounded solid must be a point, a line or a solid")
-            hull = ConvexHull(core)
-            n, c = hull.equations[:, :3], hull.equations[:, 3]
-            corners = core[hull.vertices]
-            # an edge between coplanar triangles is none
-            pairs = {
-                tuple(sorted((a, b)))
-                for f, ring in enumerate(hull.simplices)
-                for a, b, across in zip(
-                    ring, np.roll(ring, -1), np.roll(hull.neighbors[f], 1), strict=True
-                )
-                if n[f] @ n[across] < 1 - 1e-9
-            }
-            edges = core[np.array(sorted(pairs))]
-            ring = core[hull.simplices]
-            along = np.roll(ring, -1, axis=1) - ring
-            turn = np.sign(np.einsum("fc,fc->f", np.cross(along[:, 0], along[:, 1]), n))
-            inward = turn[:, None, None] * np.cross(n[:, None], along)
-            sides = inward.reshape(-1, 3)
-            at_side = np.einsum("fkc,fkc->fk", inward, ring).ravel()
-        step = edges[:, 1] - edges[:, 0]
-        length = np.linalg.norm(step, axis=1)
-        return _Features(corners, edges[:, 0], step / length[:, None], length, n, c, sides, at_side)
+            edges = core[None]
+        elif len(core) > 2:
+            core, edges, n, c, sides, at_side = _polyhedron(core)
+        start, end = edges.reshape(-1, 2, 3).transpose(1, 0, 2)
+        length = np.linalg.norm(end - start, axis=1)
+        t = (end - start) / length[:, None]
+        return _Features(core, start, t, length, n, c, sides, at_side)
 
     @property
     def sharpest(self) -> float:
@@ -164,8 +142,7 @@ class Rounded:
         return rho - self.radius, n, H
 
 
-@dataclass(frozen=True)
-class _Features:
+class _Features(NamedTuple):
     """Corners (k, 3); edges by start, direction and length; faces by plane and their sides' planes.
 
     A point lies above a triangle where n·x + c > 0 and its three sides·x ≥ at_side.
@@ -179,6 +156,29 @@ class _Features:
     c: FloatArray
     sides: FloatArray
     at_side: FloatArray
+
+
+def _polyhedron(core: FloatArray) -> tuple[FloatArray, ...]:
+    """Corners, edges (k, 2, 3), n, c, sides and at_side of the convex hull of points (n, 3)."""
+    from scipy.spatial import ConvexHull
+
+    if np.linalg.matrix_rank(core - core.mean(0), tol=1e-9 * np.ptp(core)) < 3:
+        raise InputError("the core of a rounded solid must be a point, a line or a solid")
+    hull = ConvexHull(core)
+    n, c = hull.equations[:, :3], hull.equations[:, 3]
+    # an edge between coplanar triangles is none
+    pairs = {
+        tuple(sorted((a, b)))
+        for f, ring in enumerate(hull.simplices)
+        for a, b, across in zip(ring, np.roll(ring, -1), np.roll(hull.neighbors[f], 1), strict=True)
+        if n[f] @ n[across] < 1 - 1e-9
+    }
+    ring = core[hull.simplices]
+    along = np.roll(ring, -1, axis=1) - ring
+    turn = np.sign(np.einsum("fc,fc->f", np.cross(along[:, 0], along[:, 1]), n))
+    inward = turn[:, None, None] * np.cross(n[:, None], along)
+    at_side = np.einsum("fkc,fkc->fk", inward, ring).ravel()
+    return core[hull.vertices], core[np.array(sorted(pairs))], n, c, inward.reshape(-1, 3), at_side
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,7 +255,7 @@ class Placed:
 
     @property
     def sharpest(self) -> float:
-        """Smallest radius of curvature, mm; 0 where the shape does not tell."""
+        """Smallest radius of curvature, mm; 0 where it is unknown."""
         return getattr(self.shape, "sharpest", 0.0)
 
     @cached_property
@@ -336,22 +336,18 @@ def tetrahedron_punch(
     azimuth : float
         Direction of one of the three edges that run up from the tip, degrees from x.
     """
-    for name, value in (("base_edge", base_edge), ("height", height)):
+    from scipy.spatial import ConvexHull
+
+    for name, value in (("base_edge", base_edge), ("height", height), ("edge_radius", edge_radius)):
         check_number(name, value)
-    check_number("edge_radius", edge_radius)
-    corners = regular_polygon(3, base_edge, azimuth)
-    base = np.column_stack([corners, np.full(3, height)])
+    base = np.column_stack([regular_polygon(3, base_edge, azimuth), np.full(3, height)])
     faces = ConvexHull(np.vstack([np.zeros(3), base])).equations
-    # the faces moved inwards meet in the corners of the core
-    centre = np.array([0.0, 0.0, 0.75 * height])
-    if (faces[:, :3] @ centre + faces[:, 3] + edge_radius).max() >= 0:
+    core = _shrunk(faces, np.array([0.0, 0.0, 0.75 * height]), edge_radius)
+    if core is None:
         raise InputError(
             f"edge_radius {edge_radius:g} mm is too large for a tetrahedron with base_edge "
             f"{base_edge:g} and height {height:g} mm"
         )
-    core = HalfspaceIntersection(
-        faces + np.array([0.0, 0.0, 0.0, edge_radius]), centre
-    ).intersections
     core[:, 2] += edge_radius - core[:, 2].min()
     return Rounded(core, edge_radius)
 
@@ -376,14 +372,22 @@ def opening(corners: FloatArray, corner_radius: float, fillet: float) -> Opening
         inward = np.column_stack([-side[:, 1], side[:, 0]])
         inward /= np.linalg.norm(inward, axis=1)[:, None]
         lines = np.column_stack([-inward, (inward * corners).sum(1)])
-        centre = corners.mean(0)
-        if (lines[:, :2] @ centre + lines[:, 2] + corner_radius).max() >= 0:
+        corners = _shrunk(lines, corners.mean(0), corner_radius)
+        if corners is None:
             raise InputError(f"corner_radius {corner_radius:g} mm is too large for the opening")
-        corners = HalfspaceIntersection(
-            lines + np.array([0.0, 0.0, corner_radius]), centre
-        ).intersections
     core = np.vstack([np.insert(corners, 2, z, axis=1) for z in (-FAR, FAR)])
     return Opening(Rounded(core, corner_radius), fillet)
+
+
+def _shrunk(faces: FloatArray, centre: FloatArray, radius: float) -> FloatArray | None:
+    """Corners of faces n·x + c = 0, rows (n, c), moved inwards; None if nothing is left."""
+    from scipy.spatial import HalfspaceIntersection
+
+    if (faces[:, :-1] @ centre + faces[:, -1] + radius).max() >= 0:
+        return None
+    moved = np.zeros(faces.shape[1])
+    moved[-1] = radius
+    return HalfspaceIntersection(faces + moved, centre).intersections
 
 
 def round_opening(radius: float, fillet: float) -> Opening:
@@ -439,11 +443,9 @@ class Tool:
             raise InputError(
                 f"{self.name}: motion must be 'fixed', 'driven' or 'free', got {self.motion!r}"
             )
-        check_number(f"{self.name}: friction", self.friction, zero_allowed=True)
-        check_number(f"{self.name}: force", self.force, zero_allowed=True)
-        check_number(
-            f"{self.name}: mass", self.mass, zero_allowed=self.motion != "free" or self.force > 0
-        )
+        weightless = self.motion != "free" or self.force > 0
+        for key, zero in (("friction", True), ("force", True), ("mass", weightless)):
+            check_number(f"{self.name}: {key}", getattr(self, key), zero_allowed=zero)
         if self.tilts and self.motion != "free":
             raise InputError(f"{self.name}: only a free tool tilts")
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from pydantic.dataclasses import dataclass as checked
 
-from quasiform.result.measures import discretisation_error
+from quasiform.result.estimate import discretisation_error
 
 from ..bands import OptionalNumber
 from ..tables import read_table

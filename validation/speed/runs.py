@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 import quasiform as qf
-from quasiform.result.run import package_version
+from quasiform.result.summary import package_version
 from quasiform.scenes import scene_file
 from quasiform.solve.newton import Equilibrium
 

@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 
 import quasiform as qf
-from quasiform.result.run import package_version
+from quasiform.result.summary import package_version
 
 from .scenes import CASES, SPAN
 from .settings import DEFAULT, Cell, Setting
