@@ -278,12 +278,19 @@ def draw_in(nodes: FloatArray, x: FloatArray) -> float:
 
 def scene(size: float):
     """Build the scene by hand, upside down: the ball comes from above."""
+    from quasiform.recipe import built
+
+    return built(_model, size)
+
+
+def _model(size: float, like: object = None):
     import quasiform as qf
     from quasiform.energy.bending import Bending
     from quasiform.energy.contact import Contact
     from quasiform.energy.friction import Friction
     from quasiform.energy.membrane import Membrane
     from quasiform.tools.shapes import ball
+    from quasiform.unknowns import Unknowns
 
     blank = qf.rectangle(SIDE, SIDE, size, through=((0.0, 0.0),))
     fabric = qf.Fabric(
@@ -308,18 +315,13 @@ def scene(size: float):
     fixed[[3 * centre, 3 * centre + 1, 3 * side + 1, 3 * n]] = True
     drive = np.zeros(3 * n + 1)
     drive[-1] = -1.0
-    contact = Contact(blank, fabric, tool, 3 * n)
-    return qf.Scene(
+    sheet = (unknowns := Unknowns()).sheet(blank, fabric, dim=3)
+    contact = Contact(sheet, tool, unknowns.add("punch", 1).dofs)
+    return qf.Model(
         name="open-die-hemisphere",
-        blank=blank,
-        fabric=fabric,
-        dim=3,
-        terms=[
-            Membrane(blank, fabric, dim=3),
-            Bending(blank, fabric),
-            contact,
-            Friction(contact, x0),
-        ],
+        unknowns=unknowns,
+        sheets=[sheet],
+        terms=[Membrane(sheet), Bending(sheet), contact, Friction(contact)],
         x0=x0,
         fixed=fixed,
         drive=drive,
@@ -328,7 +330,6 @@ def scene(size: float):
         rows=5.0,
         travel_name="travel_mm",
         parameters={"size": size},
-        resized=scene,
         coarsest=SIZES[0],
     )
 
@@ -344,8 +345,8 @@ def quasiform(size: float, increment: float | None = None, levels: bool = False)
         result = qf.solve(made, increment=increment, estimate=False)
     if result.status != "completed":
         return Answer(failed=result.reason)
-    x = made.positions(result.states[-1].x)
-    blank = made.blank
+    x = made.sheet.positions(result.states[-1].x)
+    blank = made.sheet.blank
     return Answer(
         abs(float(result.force)),
         largest_shear(blank.nodes, blank.triangles, x),

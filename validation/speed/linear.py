@@ -40,7 +40,7 @@ def main(sizes: list[float]) -> None:
 
 def rows(result: qf.Result) -> list[tuple[str, ...]]:
     """Rows of the table for the convex tangent at the end of a result."""
-    scene, x = result.scene, result.states[-1].x
+    scene, x = result.model, result.states[-1].x
     known = f"{len(scene.blank.triangles)}", f"{(~scene.fixed).sum()}"
     b = np.random.default_rng(0).normal(size=(~scene.fixed).sum())
     found = []

@@ -41,7 +41,7 @@ def values() -> dict[str, float]:
             run
         )
     found["tetrahedron 45 deg: mirror planes"] = len(
-        qf.forming("tetrahedron", 45, size=20).blank.mirror
+        qf.forming("tetrahedron", 45, size=20).sheet.blank.mirror
     )
     return found
 
