@@ -20,8 +20,7 @@ from scipy.sparse import csr_array, diags_array
 from scipy.sparse.linalg import cg
 
 import quasiform as qf
-from quasiform.model import Scene
-from quasiform.solve.newton import Equilibrium, rigid_motions
+from quasiform.solve.equilibrium import Equilibrium
 
 FloatArray = np.ndarray
 TRAVEL = 40.0  # mm of the hemisphere, whole sheet
@@ -41,7 +40,7 @@ def main(sizes: list[float]) -> None:
 def rows(result: qf.Result) -> list[tuple[str, ...]]:
     """Rows of the table for the convex tangent at the end of a result."""
     scene, x = result.model, result.states[-1].x
-    known = f"{len(scene.blank.triangles)}", f"{(~scene.fixed).sum()}"
+    known = f"{len(scene.sheet.blank.triangles)}", f"{(~scene.fixed).sum()}"
     b = np.random.default_rng(0).normal(size=(~scene.fixed).sum())
     found = []
     for name in ("pardiso", "superlu"):
@@ -50,15 +49,17 @@ def rows(result: qf.Result) -> list[tuple[str, ...]]:
         except qf.InputError:  # not installed
             continue
         equilibrium.travel = scene.travel
-        values, _ = equilibrium.potential.hessian(x, convex=True)
-        equilibrium.solver.factor(values)
-        factor, _ = timed(lambda e=equilibrium, v=values: e.solver.factor(v))
-        solution, _ = timed(lambda e=equilibrium: e.solver.solve(b))
+        equilibrium.refresh(x)
+        values, _ = equilibrium.potential.hessian(x, equilibrium.memory, convex=True)
+        solver = equilibrium.tangent.solver
+        solver.factor(values)
+        factor, _ = timed(lambda s=solver, v=values: s.factor(v))
+        solution, _ = timed(lambda s=solver: s.solve(b))
         found.append((*known, name, f"{factor:.2f}", f"{solution:.3f}", ""))
     p = equilibrium.potential.pattern
     upper = csr_array((values, p.indices, p.indptr), shape=p.shape)
     A = csr_array(upper + upper.T - diags_array(upper.diagonal()))
-    rigid = rigid_motions(scene)[~scene.fixed]
+    rigid = rigid_motions(scene, x)
     for name, B in (("rigid", rigid), ("rigid and slides", np.hstack([rigid, slides(scene, x)]))):
         setup, levels = timed(lambda B=B: pyamg.smoothed_aggregation_solver(A, B=B))
         steps: list[int] = []
@@ -72,18 +73,29 @@ def rows(result: qf.Result) -> list[tuple[str, ...]]:
     return found
 
 
-def slides(scene: Scene, x: FloatArray) -> FloatArray:
+def rigid_motions(scene: qf.Model, x: FloatArray) -> FloatArray:
+    """(n_free, 6) translations and rotations of the sheet."""
+    sheet, motions = scene.sheet, np.zeros((len(x), 6))
+    place = sheet.positions(x)
+    for axis, unit in enumerate(np.eye(3)):
+        motions[sheet.dofs, axis] = unit
+        motions[sheet.dofs, 3 + axis] = np.cross(unit, place)
+    return motions[~scene.fixed]
+
+
+def slides(scene: qf.Model, x: FloatArray) -> FloatArray:
     """(n_free, 6) motions of the fibres along themselves: powers of the position across them."""
-    triangles, n = scene.blank.triangles, len(scene.blank.nodes)
+    blank = scene.sheet.blank
+    triangles, n = blank.triangles, len(blank.nodes)
     motions = []
     for family, fibre in enumerate(np.moveaxis(scene.membrane.fibres(x), 1, 0)):
         along = np.zeros((n, 3))
         np.add.at(along, triangles, fibre[:, None])
         along /= np.linalg.norm(along, axis=1)[:, None]
-        across = scene.blank.nodes @ (scene.blank.weft, scene.blank.warp)[family]
+        across = blank.nodes @ (blank.weft, blank.warp)[family]
         for power in (1, 2, 3):
             motion = np.zeros(len(x))
-            motion[: 3 * n] = (along * ((across / across.max()) ** power)[:, None]).ravel()
+            motion[scene.sheet.dofs] = along * ((across / across.max()) ** power)[:, None]
             motions.append(motion[~scene.fixed])
     return np.stack(motions, axis=1)
 

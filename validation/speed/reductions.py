@@ -20,6 +20,7 @@ from quasiform.energy.contact import Contact, at_edges
 from quasiform.energy.friction import Friction
 from quasiform.energy.membrane import Membrane
 from quasiform.scenes import scene_file
+from quasiform.unknowns import Unknowns
 
 from ..tables import markdown_table
 
@@ -34,8 +35,8 @@ def table() -> str:
             short, seconds = _timed(reduced)
             long, without = _timed(full)
             p99 = [r.quantities["shear_angle_deg"] for r in (short, long)]
-            coarse = short.scene.resized(2 * short.scene.size) if short.scene.resized else None
-            if short.estimate["shear_angle_deg"] is None and coarse is not None:
+            if short.estimate["shear_angle_deg"] is None:
+                coarse = short.model.recipe.build(2 * short.model.size)
                 short.judge([qf.solve(coarse, estimate=False)])
             rows.append(
                 [
@@ -51,7 +52,7 @@ def table() -> str:
                     _shown(short.estimate["force_N"], 100 / short.force),
                     _shown(short.estimate["shear_angle_deg"], 1.0),
                     "yes"
-                    if short.certified is True and long.certified is True
+                    if short.certified and long.certified
                     else f"{short.certified} / {long.certified}",
                 ]
             )
@@ -69,7 +70,7 @@ def _pairs(folder: Path) -> list[tuple[str, str, Solve, Solve]]:
     """(simplification, where, with it, without it)."""
     here, strip = "hemisphere, 10 mm", "off-axis tension 45°, 10 mm"
 
-    def path(scene: Callable[[], qf.Scene]) -> Solve:
+    def path(scene: Callable[[], qf.Model]) -> Solve:
         return lambda: qf.solve(scene(), estimate=False)
 
     plain = path(_hemisphere)
@@ -119,7 +120,7 @@ def _timed(solve: Solve) -> tuple[qf.Result, float]:
 
 
 def _dofs(result: qf.Result) -> int:
-    return int((~result.scene.fixed).sum())
+    return int((~result.model.fixed).sum())
 
 
 def _shown(value: float | None, factor: float) -> str:
@@ -128,24 +129,24 @@ def _shown(value: float | None, factor: float) -> str:
 
 def _hemisphere(
     size: float = 10.0, symmetry: str = "auto", friction: float | None = None
-) -> qf.Scene:
+) -> qf.Model:
     law = qf.Fabric() if friction is None else replace(qf.Fabric(), friction=friction)
     return qf.forming("hemisphere", law=law, size=size, symmetry=symmetry)
 
 
-def _with_weight() -> qf.Scene:
+def _with_weight() -> qf.Model:
     return qf.forming(replace(scene_file.load("hemisphere"), gravity=True), size=10.0)
 
 
-def _with_mid_edges() -> qf.Scene:
+def _with_mid_edges() -> qf.Model:
     """Contact between the nodes too, although no tool is sharp enough to need it."""
     scene = _hemisphere()
-    edges = at_edges(scene.blank)
+    edges = at_edges(scene.sheet.blank)
     for contact in scene.contacts:
-        between = Contact(scene.blank, scene.fabric, contact.tool, contact.tool_dofs[0], edges)
+        between = Contact(scene.sheet, contact.tool, contact.tool_dofs, edges)
         scene.terms.append(between)
         if contact.tool.friction:
-            scene.terms.append(Friction(between, scene.x0))
+            scene.terms.append(Friction(between))
     return scene
 
 
@@ -181,29 +182,30 @@ def _stl(folder: Path) -> str:
     return str(scene)
 
 
-def _strip() -> qf.Scene:
+def _strip() -> qf.Model:
     return qf.off_axis_tension(45.0, displacement=40.0)
 
 
-def _strip_in_space(in_plane: float = 0.0) -> qf.Scene:
+def _strip_in_space(in_plane: float = 0.0) -> qf.Model:
     """Off-axis tension free to leave its plane, with bending of the fibre lines."""
     flat = _strip()
-    fabric = replace(flat.fabric, in_plane_bending=in_plane)
-    n = len(flat.blank.nodes)
+    blank, n = flat.sheet.blank, len(flat.sheet.blank.nodes)
+    fabric = replace(flat.sheet.fabric, in_plane_bending=in_plane)
 
     def spatial(values: np.ndarray, out_of_plane: np.ndarray | float | bool) -> np.ndarray:
         found = np.empty((n, 3), dtype=values.dtype)
         found[:, :2], found[:, 2] = values.reshape(n, 2), out_of_plane
         return found.ravel()
 
+    sheet = (unknowns := Unknowns()).sheet(blank, fabric, dim=3)
     return replace(
         flat,
-        fabric=fabric,
-        dim=3,
-        terms=[Membrane(flat.blank, fabric, 3), Bending(flat.blank, fabric)],
+        unknowns=unknowns,
+        sheets=[sheet],
+        terms=[Membrane(sheet), Bending(sheet)],
         x0=spatial(flat.x0, 0.0),
         fixed=spatial(flat.fixed, flat.fixed[::2]),
         drive=spatial(flat.drive, 0.0),
         measures={},
-        resized=None,
+        recipe=None,
     )

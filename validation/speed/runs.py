@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,7 +13,6 @@ import numpy as np
 import quasiform as qf
 from quasiform.result.summary import package_version
 from quasiform.scenes import scene_file
-from quasiform.solve.newton import Equilibrium
 
 from .rows import REFERENCE, Row
 
@@ -46,7 +44,7 @@ class Problem:
     """
 
     title: str
-    build: Callable[..., qf.Scene]
+    build: Callable[..., qf.Model]
     default: tuple[str, float]
     finest: float
     runs: tuple[tuple[str, tuple[float, ...], tuple[float, ...]], ...]
@@ -54,15 +52,15 @@ class Problem:
     followed: bool = False
 
 
-def _tension(angle: float, displacement: float) -> Callable[..., qf.Scene]:
-    def build(size: float, symmetry: str = "auto", mesh: str = "fibre") -> qf.Scene:
+def _tension(angle: float, displacement: float) -> Callable[..., qf.Model]:
+    def build(size: float, symmetry: str = "auto", mesh: str = "fibre") -> qf.Model:
         return qf.off_axis_tension(angle, displacement=displacement, size=size, mesh=mesh)
 
     return build
 
 
-def _forming(name: str, travel: float) -> Callable[..., qf.Scene]:
-    def build(size: float, symmetry: str = "auto", mesh: str = "fibre") -> qf.Scene:
+def _forming(name: str, travel: float) -> Callable[..., qf.Model]:
+    def build(size: float, symmetry: str = "auto", mesh: str = "fibre") -> qf.Model:
         file = replace(scene_file.load(name), mesh=mesh)
         return qf.forming(file, 0.0, size=size, travel=travel, symmetry=symmetry)
 
@@ -195,16 +193,14 @@ def run(plan: Plan) -> tuple[Row, FloatArray]:
     problem = PROBLEMS[plan.scene]
     _, build, how = STRATEGIES[plan.strategy]
     increment = plan.increment or None
-    with counted() as equilibria:
-        wall, processor = time.perf_counter(), time.process_time()
-        scene = problem.build(plan.size, **build)
-        if plan.strategy == "continuation" or (plan.strategy == REFERENCE and not problem.followed):
-            result = qf.refine(scene, increment=increment)
-        else:
-            result = qf.solve(scene, increment=increment, estimate=False, **how)
-        wall, processor = time.perf_counter() - wall, time.process_time() - processor
+    wall, processor = time.perf_counter(), time.process_time()
+    scene = problem.build(plan.size, **build)
+    if plan.strategy == "continuation" or (plan.strategy == REFERENCE and not problem.followed):
+        result = qf.refine(scene, increment=increment)
+    else:
+        result = qf.solve(scene, increment=increment, estimate=False, **how)
+    wall, processor = time.perf_counter() - wall, time.process_time() - processor
     unit = unknowns(problem.build(problem.default[1]))
-    certified = result.certified
     row = Row(
         scene=plan.scene,
         strategy=plan.strategy,
@@ -214,10 +210,10 @@ def run(plan: Plan) -> tuple[Row, FloatArray]:
         wall=wall,
         dofs=unknowns(scene),
         solves=float(result.linear_solves),
-        units=0.0 if plan.strategy == "relaxation" else work(equilibria, unit),
+        units=0.0 if plan.strategy == "relaxation" else work(result.factorisations, scene, unit),
         force=result.force,
         p99=result.quantities["shear_angle_deg"],
-        certified="yes" if certified is True else str(certified),
+        certified="yes" if result.certified else "; ".join(result.certified.reasons),
         estimate=result.estimate["shear_angle_deg"],
         estimate_force=result.estimate["force_N"],
         version=sources(),
@@ -226,31 +222,18 @@ def run(plan: Plan) -> tuple[Row, FloatArray]:
     return row, result.shear_angle_at(np.random.default_rng(0).uniform(low, high, (POINTS, 2)))
 
 
-def unknowns(scene: qf.Scene) -> int:
+def unknowns(scene: qf.Model) -> int:
     """Number of unknowns."""
     return int((~scene.fixed).sum())
 
 
-def work(equilibria: list[Equilibrium], unit: int) -> float:
-    """Linear solves of all meshes of a run, in solves of a mesh with `unit` unknowns."""
-    return sum(e.linear_solves * (unknowns(e.scene) / unit) ** GROWTH for e in equilibria)
-
-
-@contextmanager
-def counted() -> Iterator[list[Equilibrium]]:
-    """Collect the equilibria that a run sets up, each with its count of linear solves."""
-    found: list[Equilibrium] = []
-    setup = Equilibrium.__post_init__
-
-    def noted(equilibrium: Equilibrium) -> None:
-        setup(equilibrium)
-        found.append(equilibrium)
-
-    Equilibrium.__post_init__ = noted
-    try:
-        yield found
-    finally:
-        Equilibrium.__post_init__ = setup
+def work(counts: dict[str, int], scene: qf.Model, unit: int) -> float:
+    """Factorisations of all meshes of a run, in those of a mesh with `unit` unknowns."""
+    sizes = {mesh: float(mesh.removesuffix(" mm")) for mesh in counts}
+    return sum(
+        count * (unknowns(scene.recipe.build(sizes[mesh], like=scene)) / unit) ** GROWTH
+        for mesh, count in counts.items()
+    )
 
 
 def sources() -> str:

@@ -142,7 +142,7 @@ def solve(cell: Cell) -> dict[str, Any]:
         "reached": result.states[-1].travel,
         "goal": scene.travel,
         "rescues": result.rescues,
-        "certified": "yes" if result.certified is True else str(result.certified),
+        "certified": "yes" if result.certified else "; ".join(result.certified.reasons),
         "collapse": result.collapse and result.collapse["travel_mm"],
         "averages": case.averages(result),
         "force": result.force,
