@@ -52,7 +52,7 @@ def test_each_scene_is_built_with_its_size_and_its_fabric(name):
         return
     scene = case.build(case.sizes[0], fabric)
     assert scene.size == case.sizes[0]
-    assert scene.resized(case.sizes[1]).size == case.sizes[1]
+    assert scene.recipe.build(case.sizes[1]).size == case.sizes[1]
     assert bool(scene.contacts) == case.contact
     assert all(contact.compaction == 400.0 for contact in scene.contacts)
     assert all(contact.tool.friction == 0.5 for contact in scene.contacts)
@@ -61,7 +61,7 @@ def test_each_scene_is_built_with_its_size_and_its_fabric(name):
 
 def test_the_specimen_is_compressed():
     coarse = CASES["oat-45-compressed"].build(20.0, qf.Fabric())
-    for scene in (coarse, coarse.resized(10.0)):
+    for scene in (coarse, coarse.recipe.build(10.0)):
         x = scene.prescribed(30.0)[0][0::2]
         assert np.unique(x[scene.fixed[0::2]]) == pytest.approx([-160.0, 130.0])
 
