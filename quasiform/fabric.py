@@ -22,7 +22,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import BPoly
 
 from .checks import InputError, check_number, suggestion
 from .toml_file import read_toml, toml_text
@@ -241,8 +240,10 @@ class TabulatedLaw:
         return inside, np.abs(x) - inside
 
     @cached_property
-    def _curves(self) -> tuple[BPoly, BPoly, BPoly]:
-        """Stiffness, stress and energy within the table."""
+    def _curves(self) -> tuple[Any, Any, Any]:
+        """Stiffness, stress and energy within the table: piecewise polynomials."""
+        from scipy.interpolate import BPoly
+
         h, D = np.diff(self.I6), np.diff(self.S12) / np.diff(self.I6)
         end = D[-1] + (D[-1] - D[-2]) * h[-1] / (h[-1] + h[-2])
         m = np.concatenate([D[:1], _parabola(h, D), [np.clip(end, D[-1] / 4, 5 * D[-1] / 4)]])
@@ -353,16 +354,14 @@ class Fabric:
     def __post_init__(self) -> None:
         if not isinstance(self.name, str):
             raise InputError(f"Fabric(name=...) must be a text, got {self.name!r}")
-        if not isinstance(self.shear, ThreeStageLaw | TabulatedLaw):
-            raise InputError(
-                "Fabric(shear=...) must be a ThreeStageLaw or a TabulatedLaw, "
-                f"got {type(self.shear).__name__}"
-            )
-        for name in ("warp", "weft"):
-            if not isinstance(getattr(self, name), ThreeStageLaw):
+        for name in ("shear", "warp", "weft"):
+            law, kinds = getattr(self, name), [ThreeStageLaw]
+            if name == "shear":
+                kinds.append(TabulatedLaw)
+            if not isinstance(law, tuple(kinds)):
+                expected = " or a ".join(kind.__name__ for kind in kinds)
                 raise InputError(
-                    f"Fabric({name}=...) must be a ThreeStageLaw, "
-                    f"got {type(getattr(self, name)).__name__}"
+                    f"Fabric({name}=...) must be a {expected}, got {type(law).__name__}"
                 )
         for name, zero_allowed in _NUMBERS.items():
             check_number(f"Fabric({name}=...)", getattr(self, name), zero_allowed=zero_allowed)
@@ -446,7 +445,7 @@ def _fabric(table: dict[str, Any]) -> Fabric:
     from .schema import read_dataclass  # pydantic, only where a file is read
 
     points = {f.name for f in fields(TabulatedLaw)}
-    for key in table.keys() & {"shear", "warp", "weft"}:
+    for key in [key for key in table if key in ("shear", "warp", "weft")]:
         kind, numbers = ThreeStageLaw, table[key]
         if key == "shear" and isinstance(numbers, Mapping) and points & numbers.keys():
             kind = TabulatedLaw
@@ -464,21 +463,16 @@ def _provenance(given: Any) -> dict[str, str | float]:
     """Return a copy of plain texts, numbers and truth values; refuse anything else."""
     if not isinstance(given, Mapping):
         raise InputError(f"provenance must be a table of texts and numbers, got {given!r}")
+    kinds = ((str, str), (bool | np.bool_, bool), (Integral, int), (Real, float))
     plain: dict[str, str | float] = {}
     for key, value in given.items():
         if not isinstance(key, str):
             raise InputError(f"a key of provenance must be a text, got {key!r}")
-        if isinstance(value, str):
-            plain[key] = str(value)
-        elif isinstance(value, bool | np.bool_):
-            plain[key] = bool(value)
-        elif isinstance(value, Integral):
-            plain[key] = int(value)
-        elif isinstance(value, Real) and np.isfinite(value):
-            plain[key] = float(value)
-        else:
+        kind = next((kind for given_kind, kind in kinds if isinstance(value, given_kind)), None)
+        if kind is None or (kind is float and not np.isfinite(value)):
             raise InputError(
                 f"provenance '{key}' must be a text, a finite number or true or false, "
                 f"got {value!r}"
             )
+        plain[key] = kind(value)
     return plain

@@ -9,12 +9,14 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import singledispatch
 from hashlib import sha256
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from .checks import InputError
+from .fabric import Fabric
 from .fingerprint import fingerprint
 from .model import Model
 
@@ -32,7 +34,7 @@ class Recipe:
         Called with `size`, `like` (a model of the same recipe, whose tools it may take over) and
         all that is given by name.
     given : tuple of (name, value)
-        Numbers, text, None, paths, and objects with `written()` and `read(...)` such as a `Fabric`.
+        Numbers, text, None, and what `plain` can write: paths, a `Fabric`, a `SceneFile`.
     size : float
         Size that was asked for, mm.
     changes : tuple of callables
@@ -81,10 +83,10 @@ class Recipe:
             If a change cannot be found by its name in another process.
         """
         return {
-            "builder": _reference(self.builder),
-            "given": {name: _plain(value) for name, value in self.given},
+            "builder": reference(self.builder),
+            "given": {name: plain(value) for name, value in self.given},
             "size": self.size,
-            "changes": [_reference(change) for change in self.changes],
+            "changes": [reference(change) for change in self.changes],
         }
 
     @staticmethod
@@ -127,7 +129,14 @@ def built(builder: Builder, size: float, **given: Any) -> Model:
     return Recipe(builder, tuple(sorted(given.items())), size).build()
 
 
-def _reference(function: Callable[..., Any]) -> str:
+def reference(function: Callable[..., Any]) -> str:
+    """Module and name of a function, by which another process finds it.
+
+    Raises
+    ------
+    InputError
+        If no other process would.
+    """
     module, name = function.__module__, function.__qualname__
     if module == "__main__" or "<" in name:
         raise InputError(
@@ -138,23 +147,32 @@ def _reference(function: Callable[..., Any]) -> str:
 
 def _found(reference: str) -> Callable[..., Any]:
     module, _, name = reference.partition(":")
-    found = getattr(import_module(module), name)
+    found: Any = import_module(module)
+    for part in name.split("."):
+        found = getattr(found, part)
     if not callable(found):
         raise InputError(f"'{reference}' is not a function")
     return found
 
 
-def _plain(value: Any) -> Any:
-    if isinstance(value, Path):
-        return {"path": str(value)}
-    if hasattr(value, "written"):
-        return {"class": _reference(type(value)), "content": value.written()}
+@singledispatch
+def plain(value: Any) -> Any:
+    """Return a given value as numbers and text; register a function for a class of your own.
+
+    It returns {"read": reference of the function that reads it back, "from": numbers and text}.
+    """
     return value
 
 
+@plain.register
+def _(value: Path) -> dict[str, Any]:
+    return {"read": reference(Path), "from": str(value)}
+
+
+@plain.register
+def _(value: Fabric) -> dict[str, Any]:
+    return {"read": reference(Fabric.read), "from": value.written()}
+
+
 def _live(value: Any) -> Any:
-    if not isinstance(value, dict):
-        return value
-    if "path" in value:
-        return Path(value["path"])
-    return _found(value["class"]).read(value["content"])
+    return _found(value["read"])(value["from"]) if isinstance(value, dict) else value

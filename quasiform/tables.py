@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import csv
 import re
+from collections.abc import Mapping
 from math import pi
 from pathlib import Path
 from typing import NamedTuple
@@ -172,10 +173,39 @@ def is_numeric(cells: list[str]) -> bool:
     return sum(map(is_number, cells)) > 1
 
 
-def wrong_mark(cells: list[str]) -> str:
-    """Return the comma or the point: the rarer one in the cells of a table is no decimal sign."""
-    marks = [mark for cell in cells for mark in cell if mark in ",."]
-    return "." if 2 * marks.count(",") > len(marks) else ","
+def first_of_numbers(rows: list[Row]) -> int:
+    """Place of the first row of numbers that is not a comment; InputError if there is none."""
+    for k, row in enumerate(rows):
+        if is_numeric(row.cells) and not row.comment:
+            return k
+    raise InputError("no rows of two or more numbers that are not comments")
+
+
+def numbers_in(rows: list[Row], columns: Mapping[str, int], gaps: bool = False) -> FloatArray:
+    """(n, k) numbers of columns, each called in messages as it is named here.
+
+    The decimal sign is the comma or the point, whichever there is more of. With `gaps` empty cells
+    are nan.
+
+    Raises
+    ------
+    InputError
+        For a cell that is not a finite number.
+    """
+    table = [[row.cells[k] if k < len(row.cells) else "" for k in columns.values()] for row in rows]
+    marks = [mark for cells in table for cell in cells for mark in cell if mark in ",."]
+    wrong = "." if 2 * marks.count(",") > len(marks) else ","
+    values = np.full((len(rows), len(columns)), np.nan)
+    for i, (row, cells) in enumerate(zip(rows, table, strict=True)):
+        for j, (name, cell) in enumerate(zip(columns, cells, strict=True)):
+            if gaps and cell.lower() in ("", "nan"):
+                continue
+            if not is_number(cell) or wrong in cell:
+                raise InputError(f"line {row.line}: {name} is not a number: {cell!r}")
+            values[i, j] = float(cell.replace(",", "."))
+            if not abs(values[i, j]) < 1e30:
+                raise InputError(f"line {row.line}: {name} is not finite: {cell!r}")
+    return values
 
 
 # Names and units
@@ -225,11 +255,17 @@ def name_of(heading: str) -> tuple[str, float]:
 # Whole tables
 
 
-def read_table(path: Path, wanted: str = "") -> dict[str, FloatArray]:
+class Columns(dict[str, FloatArray]):
+    """Columns of a table by name; `left_out` rows had no number."""
+
+    left_out = 0
+
+
+def read_table(path: Path, wanted: str = "") -> Columns:
     """Columns of a file by their names (see `name_of`) or, unknown ones, by their headings.
 
     Lengths come in mm, forces in N, energies in mJ, angles in degrees where a heading names its
-    unit, else as they stand. Empty cells are nan, rows without a number are left out.
+    unit, else as they stand. Empty cells are nan, rows without a number are left out and counted.
 
     Parameters
     ----------
@@ -243,16 +279,16 @@ def read_table(path: Path, wanted: str = "") -> dict[str, FloatArray]:
         Naming the file and its defect.
     """
     headings, units, numbers = read_numbers(path)
+    found, width = Columns(), numbers.shape[1]
     try:
-        if len(headings) != numbers.shape[1]:
-            such = ", ".join(["x", "y", "z", "angle"][: max(2, min(4, numbers.shape[1]))])
-            raise InputError(
-                f"no line of headings for its {numbers.shape[1]} columns, such as {such}"
-            )
+        if len(headings) != width:
+            such = ", ".join(["x", "y", "z", "angle"][: max(2, min(4, width))])
+            raise InputError(f"no line of headings for its {width} columns, such as {such}")
         if wanted and wanted not in headings:
             raise InputError(f"column '{wanted}' not found: {suggestion(wanted, headings)}")
-        found: dict[str, FloatArray] = {}
-        for heading, unit, column in zip(headings, units, numbers.T, strict=True):
+        whole = ~np.isnan(numbers).all(1)
+        found.left_out = int((~whole).sum())
+        for heading, unit, column in zip(headings, units, numbers[whole].T, strict=True):
             name, factor = name_of(f"{heading} [{unit}]" if unit else heading)
             if wanted:
                 name = "angle" if heading == wanted else heading if name == "angle" else name
@@ -271,7 +307,7 @@ def read_table(path: Path, wanted: str = "") -> dict[str, FloatArray]:
 def read_numbers(path: Path, most: int = WIDEST) -> tuple[list[str], list[str], FloatArray]:
     """Headings, units of the line below them, and numbers (n, k) of the columns of a file.
 
-    Only the first columns are read where there are more than `most`.
+    Only the first columns are read where there are more than `most`; empty cells are nan.
 
     Raises
     ------
@@ -280,28 +316,20 @@ def read_numbers(path: Path, most: int = WIDEST) -> tuple[list[str], list[str], 
     """
     try:
         rows = rows_in(text_of(path))
-        first = next((i for i, r in enumerate(rows) if is_numeric(r.cells) and not r.comment), None)
-        if first is None:
-            raise InputError("no rows of numbers")
+        first = first_of_numbers(rows)
         above = [row.cells for row in rows[:first]]
-        below = [row for row in rows[first:] if not row.comment and row.cells]
+        below = [row for row in rows[first:] if not row.comment]
         width = min(below[0].width, most)
         units = [""] * width
         if len(above) > 1 and all(not c or _is_unit(c.strip("[]() ")) for c in above[-1]):
-            units = [cell.strip("[]() ") for cell in above.pop()]
-            units += [""] * (width - len(units))
-        wrong = wrong_mark([cell for row in below for cell in row.cells[:width]])
-        numbers = np.full((len(below), width), np.nan)
-        for values, row in zip(numbers, below, strict=True):
+            units = [cell.strip("[]() ") for cell in above.pop()] + units
+        for row in below:
             if min(row.width, most) != width:
                 raise InputError(
                     f"line {row.line}: {row.width} cells, the first row of numbers has {width}"
                 )
-            for k, cell in enumerate(row.cells[:width]):
-                if cell and (not is_number(cell) or wrong in cell or "inf" in cell.lower()):
-                    raise InputError(f"line {row.line}: not a number: {cell!r}")
-                values[k] = float(cell.replace(",", ".") or "nan")
-        return (above[-1] if above else []), units, numbers[~np.isnan(numbers).all(1)]
+        numbers = numbers_in(below, {f"column {k + 1}": k for k in range(width)}, gaps=True)
+        return (above[-1] if above else []), units[:width], numbers
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}") from error
     except (csv.Error, InputError) as error:

@@ -24,7 +24,7 @@ def read_toml(path: str | Path, build: Callable[[dict[str, Any]], T]) -> T:
 
 
 def _toml(path: str | Path) -> dict[str, Any]:
-    """Table of a TOML file that is not meant to hold up its reader."""
+    """Table of a TOML file; refuse one that would take very long to read."""
     check_file(path)
     if Path(path).stat().st_size > BIGGEST:
         raise InputError(f"larger than {BIGGEST / 1e6:g} MB")
@@ -99,7 +99,9 @@ def _lines(table: Mapping[str, Any], at: tuple[str, ...], comments: Mapping[str,
             and len(path) < 3
             and not {"value", "standing"} <= value.keys()
         ):
-            tables += [f"\n[{name}]{comment}", *_lines(value, path, {})]
+            inner = _lines(value, path, {})
+            header = [] if inner and inner[0].startswith("\n[") else [f"\n[{name}]{comment}"]
+            tables += header + inner
         elif value and isinstance(value, list) and all(isinstance(v, Mapping) for v in value):
             for entry in value:
                 tables += [f"\n[[{name}]]", *_lines(entry, path, {})]

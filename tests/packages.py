@@ -28,6 +28,7 @@ USE = (  # what a newcomer does first; run where no clone is near
     "quasiform form hemisphere --dry-run",
     "quasiform form tetrahedron --size 20 --travel 5 --out formed",
     "quasiform oat --law best-fit --displacement 5 --size 40 --out pulled",
+    "quasiform schema",
     "python -c 'import quasiform as qf; help(qf)'",
 )
 TESTS = (

@@ -20,7 +20,7 @@ from quasiform.console.progress import _words
 from quasiform.fabric import PRESETS
 from quasiform.handover import fibres, handover
 from quasiform.identification import campaign, fit
-from quasiform.result.run import package_version
+from quasiform.result.summary import package_version
 from quasiform.scenes import scene_file
 from quasiform.solve import linear
 from quasiform.solve.linear import SuperLU

@@ -12,7 +12,7 @@ import shapely
 
 import quasiform as qf
 from quasiform.comparison import FILES, compare, picture
-from quasiform.comparison.mapping import carried
+from quasiform.comparison.mapping import mapped
 from quasiform.comparison.place import rim, unfolded
 from quasiform.comparison.read import Reading, read_side
 from quasiform.console.cli import main
@@ -249,7 +249,7 @@ def test_each_sheet_is_drawn_on_its_own_shape(result, tmp_path):
     moved.write(tmp_path / "moved.vtu")
     found = compare(result, tmp_path / "moved.vtu", by="flat")
     mine, theirs, both = (
-        picture.panel_field(found, panel)[0].places[:, 0].mean()
+        picture.fields_of(found.sheets, found.field, found.gamma)[panel][0].places[:, 0].mean()
         for panel in ("result", "reference", "difference")
     )
     assert theirs - mine == pytest.approx(7.0)
@@ -731,6 +731,6 @@ def test_points_beyond_a_sheet_are_not_compared():
     fields = {"shear_angle": gamma_of(X)}
     sheet = FormedSheet(flat=X, triangles=triangles, point_fields=fields)
     points = FormedSheet(flat=np.array([[0.0, 0.0], [103.0, 0.0], [160.0, 0.0]]))
-    gamma = carried(sheet, points, "flat")
+    gamma = mapped(sheet, points, "flat")
     np.testing.assert_allclose(gamma[:2], [20.0, 28.0], atol=1e-9)
     assert np.isnan(gamma[2])

@@ -633,7 +633,7 @@ def test_deck_of_a_forming_scene(tmp_path, symmetry):
             assert all(abs(nodes[i][axis]) < 1e-9 for i in nsets[f"MIRROR_{plane}"])
     text = (tmp_path / "new" / "scene.inp").read_text()
     assert "13     points of the table" in text
-    assert any("not carried: in-plane bending" in notice for notice in notices)
+    assert any("not in the deck: in-plane bending" in notice for notice in notices)
     assert any("not run" in notice for notice in notices)
     assert any("multiply forces by 4" in notice for notice in notices) == mirrored
 
@@ -690,7 +690,7 @@ def test_what_a_deck_cannot_hold_is_told(tmp_path):
     scene = qf.off_axis_tension(size=40)
     scene.terms.append(Spring())
     notices = abaqus_deck(scene, tmp_path / "a.inp")
-    assert "not carried: a spring of mine" in notices
+    assert "not in the deck: a spring of mine" in notices
     text = (tmp_path / "a.inp").read_text()
     assert "a spring of mine" in text
     with pytest.raises(InputError, match="exists already"):

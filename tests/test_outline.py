@@ -254,10 +254,10 @@ def test_table_of_corners(tmp_path, text):
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("a.csv", b"x,y\n0,0\n1,one\n", "line 3: expected x, y, got '1,one'"),
+        ("a.csv", b"x,y\n0,0\n1,one\n", "line 3: column 2 is not a number: 'one'"),
         ("a.csv", b"0,0\n9,9\n", "needs three points, got 2"),
         ("a.csv", b"0,0\n9,nan\n9,0\n", "not all coordinates are finite"),
-        ("a.csv", b"\xff\xfe\x00\x01", "utf-8"),
+        ("a.csv", b"\xff\xfe\x00\x01", "not a text file: expected CSV in UTF-8"),
         ("a.csv", None, "No such file"),
         ("a.dxf", None, "No such file"),
         ("a.vtu", None, "No such file"),

@@ -16,7 +16,7 @@ from quasiform.draw.plot import save_pictures
 from quasiform.net.blank import rotation
 from quasiform.result.files import PICTURES
 from quasiform.result.sheet import FormedSheet
-from quasiform.scenes.scene_file import load
+from quasiform.scenes.scene_file import Region, load
 
 SCENES = {
     "formed": lambda: qf.forming(size=30, travel=10),
@@ -26,7 +26,10 @@ SCENES = {
     "cantilever": lambda: qf.cantilever(100, 7e-6, width=20, size=10),
 }
 DISC = replace(
-    load("hemisphere"), outline=shapely.Point(0, 0).buffer(110.0, 64), orientation=30.0, areas={}
+    load("hemisphere"),
+    blank=Region.of(shapely.Point(0, 0).buffer(110.0, 64)),
+    orientation=30.0,
+    areas={},
 )
 
 

@@ -145,7 +145,7 @@ def test_the_certificate_is_true_or_false(strip):
     collapsed = replace(strip, collapse={"travel_mm": 12.0})
     assert not collapsed.certified
     assert collapsed.certified.converged
-    assert str(collapsed.certified) == "not certified: collapsed from 12 mm on"
+    assert str(collapsed.certified) == "collapsed from 12 mm on"
     for change in (
         {"residual": 2e-3},
         {"negative_pivots": 1},

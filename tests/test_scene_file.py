@@ -1,26 +1,34 @@
 """Scene files: what is read, what it becomes, and that every mistake is told in one line."""
 
+import pickle
+import subprocess
+import sys
 import tomllib
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
+import jsonschema
 import numpy as np
 import pytest
 import shapely
 from numpy.testing import assert_allclose, assert_array_equal
 
+import quasiform
 from quasiform.checks import InputError
 from quasiform.scenes.scene_file import (
     FOLDER,
-    SHAPES,
     Gripper,
+    Region,
     SceneFile,
     Support,
     SurfaceFile,
     Where,
     built_in,
+    json_schema,
     load,
+    scene_toml,
 )
+from quasiform.scenes.scene_parts import SHAPES
 from quasiform.schema import STANDINGS
 from quasiform.tools.shapes import (
     Placed,
@@ -394,6 +402,90 @@ def test_a_part_of_the_blank():
         (Where(centre=(0.0, 0.0), radius=0.1), [1]),
     ):
         assert_array_equal(np.flatnonzero(where.nodes(points, bounds)), numbers)
+
+
+# Written back, and described to an editor
+
+NEW = (Path(quasiform.__file__).parent / "console" / "new.toml").read_text(encoding="utf-8")
+TEXTS = {
+    **{name: (FOLDER / f"{name}.toml").read_text(encoding="utf-8") for name in built_in()},
+    "new": NEW,
+    "all of new": NEW.replace("\n#: ", "\n"),
+    "plain": BASE,
+    "everything": FULL,
+    "own mesh": BASE.replace(
+        'shape = "rectangle"\nlength = 300.0\nwidth = 200.0', 'mesh = "/m.msh"\nmesh_scale = 10.0'
+    ),
+    "surface": BASE.replace(
+        'shape = "round punch"\nradius = 50.0', 'file = "/a.stl"\nrotate = [0, 90, 0]'
+    ).replace("travel", 'law = "/cloth.toml"\ntravel'),
+}
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_a_scene_that_is_written_reads_the_same(name):
+    scene = read(TEXTS[name])
+    text = scene_toml(scene)
+    again = read(text, "again.toml")
+    assert again == scene
+    assert hash(again) == hash(scene)
+    assert again.outline.equals_exact(scene.outline, 0.0)
+    assert scene_toml(again) == text
+    assert tomllib.loads(text)["increments"].keys() == {"largest", "rows"}  # defaults too
+
+
+def test_a_scene_is_plain_data():
+    scene = read(FULL)
+    copy = pickle.loads(pickle.dumps(scene))
+    assert copy == scene
+    assert replace(scene, travel=30.0) != scene
+    ring = Region.of(scene.outline)
+    assert ring.polygon.equals(scene.outline)
+    own = replace(scene, tools=[replace(scene.tools[0], geometry=ball(3.0))])
+    assert own.tools[0].shape.radius == 3.0
+    with pytest.raises(InputError, match="stamp: a shape of your own cannot be written"):
+        scene_toml(own)
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_a_scene_fits_the_json_schema(name):
+    schema = json_schema()
+    jsonschema.Draft202012Validator.check_schema(schema)
+    jsonschema.validate(tomllib.loads(TEXTS[name]), schema)
+    jsonschema.validate(tomllib.loads(scene_toml(read(TEXTS[name]))), schema)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("radius = 50.0", "radios = 50.0"),
+        ("radius = 50.0", "radius = -50.0"),
+        ("radius = 50.0", "radius = { value = 50.0 }"),
+        ("round punch", "round bunch"),
+        ("mass = 5.0", "mass = '5'"),
+        ("travel = 40.0", ""),
+        ("travel = 40.0", "travel = 40.0\nsymmetry = 'non'"),
+    ],
+)
+def test_a_mistake_does_not_fit_the_json_schema(old, new):
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate(tomllib.loads(BASE.replace(old, new)), json_schema())
+
+
+def test_the_json_schema_says_units_and_defaults():
+    schema = json_schema()
+    assert schema["properties"]["travel"]["description"].endswith("; mm")
+    assert schema["properties"]["symmetry"]["default"] == "auto"
+    punch = schema["$defs"]["round_punch"]
+    assert punch["properties"]["mass"]["description"].endswith("; kg")
+    assert set(punch["required"]) == {"shape", "radius"}
+
+
+def test_schemas_load_only_where_a_file_is_read():
+    code = "import sys, quasiform; assert 'pydantic' not in sys.modules"
+    subprocess.run(
+        [sys.executable, "-c", code], check=True, cwd=Path(quasiform.__file__).parents[1]
+    )
 
 
 # What is refused

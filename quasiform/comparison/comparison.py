@@ -153,7 +153,8 @@ class Comparison:
             (folder / "compare.md").write_text(self.markdown(), encoding="utf-8")
             if self.field is not None:
                 self._write_field(folder / "difference.vtu")
-            draw(self, folder / "difference.png")
+            drawn = (self.sheets, self.field, self.gamma, self.forces, self.locking)
+            draw(folder / "difference.png", self.names, *drawn)
         return Path(out)
 
     def _write_field(self, path: Path) -> None:

@@ -13,14 +13,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..checks import InputError
 from ..result.measures import percentile
 from ..result.sheet import FormedSheet
-from .mapping import ANGLE, WAYS, carried, on_surface, way
+from .mapping import ANGLE, WAYS, mapped, on_surface, way
 from .place import rim
 from .read import SAME, Side
 
@@ -90,18 +90,10 @@ class Rows:
     notes: list[str]
     rows: list[Row] = field(default_factory=list)
 
-    def both(
-        self,
-        quantity: str,
-        unit: str,
-        a: float,
-        b: float,
-        band: float | None = None,
-        over: str = "",
-    ) -> None:
+    def both(self, quantity: str, unit: str, a: float, b: float, **more: Any) -> None:
         """Add a quantity that result and reference have."""
         a, b = float(a), float(b)
-        self.rows.append(Row(quantity, unit, a, b, a - b, self.standing, band, over))
+        self.rows.append(Row(quantity, unit, a, b, a - b, self.standing, **more))
 
     def off(self, quantity: str, unit: str, distance: float, band: float | None = None) -> None:
         """Add a distance between the two."""
@@ -152,7 +144,7 @@ class Rows:
             ]
             over = " and ".join(map(str, dict.fromkeys(counts)))
             over += f" {own.what}" + "s" * (max(counts) > 1)
-            self.both(f"mean |γ| in area {name}", "deg", *means, band, over)
+            self.both(f"mean |γ| in area {name}", "deg", *means, band=band, over=over)
             if min(counts) < FEW:
                 few.append(f"{name} ({over})")
         if few:
@@ -218,10 +210,10 @@ def matched(
     by = way(by, sheet, theirs)
     if len(theirs.triangles):
         field, words = sheet, ("result", "the area")
-        gamma = np.stack([sheet.point_fields[ANGLE], carried(theirs, sheet, by, within)])
+        gamma = np.stack([sheet.point_fields[ANGLE], mapped(theirs, sheet, by, within)])
     else:
         field, words = theirs, ("reference", "them")
-        gamma = np.stack([carried(sheet, theirs, by, within), theirs.point_fields[ANGLE]])
+        gamma = np.stack([mapped(sheet, theirs, by, within), theirs.point_fields[ANGLE]])
         if field.flat is None and sheet.flat is not None:  # for the means over areas
             field = replace(field, flat=on_surface(sheet.flat, sheet, field.points)[0])
     compared, weights = np.isfinite(gamma).all(0), field.weights

@@ -1,4 +1,4 @@
-"""Carry a field from one sheet to the points of another.
+"""Map a field from one sheet to the points of another.
 
 Where both sheets know their flat coordinates, a point is found by its material place, X: linear
 interpolation on the Delaunay triangulation of the flat points. Else by the closest point of the
@@ -12,9 +12,8 @@ from types import ModuleType
 
 import numpy as np
 
-from ..checks import InputError
+from ..checks import InputError, optional
 from ..result.sheet import FormedSheet
-from ..tools.surface_file import optional
 
 FloatArray = np.ndarray
 ANGLE = "shear_angle"
@@ -22,13 +21,7 @@ WAYS = {"flat": "by flat coordinates", "formed": "by the closest point of the fo
 
 
 def way(by: str, one: FormedSheet, other: FormedSheet) -> str:
-    """How two sheets are matched: "flat" or "formed".
-
-    Raises
-    ------
-    InputError
-        If they cannot be matched in the way asked for, or in any.
-    """
+    """How two sheets are matched, "flat" or "formed"; InputError if they cannot be so."""
     can = {
         "flat": one.flat is not None and other.flat is not None,
         "formed": one.points is not None and other.points is not None,
@@ -54,18 +47,12 @@ def spacing(sheet: FormedSheet) -> float:
     return float(np.median(cKDTree(sheet.rest).query(sheet.rest, k=2)[0][:, 1]))
 
 
-def carried(
+def mapped(
     source: FormedSheet, target: FormedSheet, by: str, within: float | None = None
 ) -> FloatArray:
     """(n_target,) shear angle of one sheet at the points of another, degrees.
 
-    Parameters
-    ----------
-    source, target : FormedSheet
-        The source with its point field `shear_angle`.
-    by : "flat" or "formed"
-    within : float, optional
-        mm; the spacing of the source's points if not given. Farther points get nan.
+    nan at points farther than `within` (mm; the spacing of the source's points if not given).
     """
     from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
     from scipy.spatial import cKDTree

@@ -50,21 +50,9 @@ def rim(sheet: FormedSheet) -> shapely.LineString | None:
 
 
 def unfolded(sheet: FormedSheet, mirror: tuple[str, ...], signed: bool) -> FormedSheet:
-    """Mirror a part of a sheet into the whole.
+    """Mirror a part of a sheet at the planes x = 0, y = 0 into the whole.
 
-    Parameters
-    ----------
-    sheet : FormedSheet
-        On one side of the planes.
-    mirror : tuple of "x" and "y"
-        Planes x = 0, y = 0.
-    signed : bool
-        Whether γ has its sign; at the planes it is then zero.
-
-    Raises
-    ------
-    InputError
-        If the sheet lies on both sides of a plane.
+    Where γ is `signed`, it is zero at the planes. A sheet on both sides of one raises InputError.
     """
     for plane in mirror:
         axis = "xy".index(plane)
@@ -135,16 +123,8 @@ def _check_side(along: FloatArray, slack: float, axis: int) -> None:
 def aligned(sheet: FormedSheet, result: FormedSheet, turning: bool) -> tuple[FormedSheet, str]:
     """Move a reference to where it fits the result best, turned about z or only shifted.
 
-    Returns
-    -------
-    sheet : FormedSheet
-    words : str
-        The motion, and what is left of the distances.
-
-    Raises
-    ------
-    InputError
-        If there is nothing to fit.
+    Returns the sheet, and the motion with what is left of the distances as text. Raises InputError
+    if there is nothing to fit.
     """
     import shapely
 

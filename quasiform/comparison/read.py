@@ -16,7 +16,7 @@ centroid, and the mean hides where.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -199,22 +199,16 @@ def read_side(source: Result | Record | str | Path, reading: Reading | None = No
         return _of_record(Record.of(source), reading)
     path = Path(source)
     kind = path.suffix.lower()
+    if reading.values is not None and kind != ".inp":
+        raise InputError(f"{path}: values by label belong to an .inp file, not to {kind or path}")
     if path.is_dir():
         side = _of_folder(path, reading)
     elif kind == ".pvd":
         side = _of_files(path.stem, series(path), reading)
     elif kind == ".inp":
-        sheet = _of_inp(path, reading)
-        side = _of_sheets(path.stem, Sheets([None], lambda _: sheet), reading, path)
+        side = _of_sheets(path.stem, [_of_inp(path, reading)], reading, path)
     elif kind in KINDS:
-        if reading.values is not None:
-            raise InputError(f"{path}: values by label belong to an .inp file, not to {kind}")
-        sheets = read_sheets(path)
-        states = Sheets([sheet.travel for sheet in sheets], sheets.__getitem__)
-        side = _of_sheets(path.stem, states, reading, path)
-        side = replace(
-            side, history=_history({k: np.array([v]) for k, v in sheets[-1].loose.items()})
-        )
+        side = _of_sheets(path.stem, read_sheets(path), reading, path)
     elif kind in TABLES:
         side = _of_table(path, reading)
     elif not path.exists():
@@ -222,17 +216,17 @@ def read_side(source: Result | Record | str | Path, reading: Reading | None = No
     else:
         known = ", ".join(["a folder", ".pvd", *KINDS, ".inp", *TABLES])
         raise InputError(f"{path}: unknown kind of file '{kind}': expected one of {known}")
+    history = side.history
     if reading.history is not None:
         history = _history(read_table(Path(reading.history)))
         if len(history) < 2:
             raise InputError(f"{reading.history}: expected columns such as travel_mm and force_N")
-        side = replace(side, history=history)
-    if side.end is None and "travel" in side.history:
-        travel = float(side.history["travel"][-1])
-        side = replace(side, sheets=Sheets([travel], side.sheets.__getitem__))
     factor = dict.fromkeys(("force", "kinetic", "internal"), reading.force_factor)
-    scaled = {name: factor.get(name, 1.0) * column for name, column in side.history.items()}
-    return replace(side, history=scaled)
+    side = replace(side, history={k: factor.get(k, 1.0) * v for k, v in history.items()})
+    if side.end is None and "travel" in history:
+        travel = float(history["travel"][-1])
+        side = replace(side, sheets=Sheets([travel], side.sheets.__getitem__))
+    return side
 
 
 def _history(columns: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
@@ -241,17 +235,15 @@ def _history(columns: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
     for heading, column in columns.items():
         name, factor = name_of(heading)
         if name in HISTORY:
-            found[name] = factor * column
+            found[name] = factor * np.atleast_1d(column)
     whole = np.isfinite(list(found.values())).all(0) if found else slice(None)
     return {name: column[whole] for name, column in found.items()}
 
 
 def _of_record(record: Record, reading: Reading) -> Side:
-    where = "the result" if record.folder is None else record.folder
-    name = record.case if record.folder is None else record.name
-    parameters = record.parameters
+    where, parameters = record.folder or "the result", record.parameters
     return replace(
-        _of_sheets(name, record.sheets, reading, where),
+        _of_sheets(record.name, record.sheets, reading, where),
         history=_history(record.history),
         areas=record.areas,
         scene=str(parameters.get("scene_file") or parameters.get("scene", "")),
@@ -274,23 +266,25 @@ def _of_files(name: str, files: list[tuple[float | None, Path]], reading: Readin
     return _of_sheets(name, states, reading, files[-1][1])
 
 
-def _of_sheets(name: str, states: Sheets, reading: Reading, where: object) -> Side:
-    """Side of sheets as they stand in files; `where` they are from is told in refusals."""
+def _of_sheets(name: str, states: Sequence[FormedSheet], reading: Reading, where: object) -> Side:
+    """Side of sheets as they stand in files; refusals name `where` they are from."""
     last, notes = _understood(states[-1], reading, where)
 
     def load(number: int) -> FormedSheet:
         end = number == len(states) - 1
         return last if end else _understood(states[number], reading, where)[0]
 
-    return Side(name, Sheets(_travels(states.travels, reading), load), notes=notes)
+    times = states.travels if isinstance(states, Sheets) else [s.travel for s in states]
+    sheets = Sheets(_travels(times, reading), load)
+    return Side(name, sheets, _history(states[-1].loose), notes=notes)
 
 
-def _travels(times: tuple[float | None, ...], reading: Reading) -> tuple[float | None, ...]:
+def _travels(times: Sequence[float | None], reading: Reading) -> tuple[float | None, ...]:
     """Travels of states from their times, which are travels if nothing else is said."""
     if len(times) == 1 and (times[0] is None or reading.travel is not None):
         return (reading.travel,)
     if reading.travel is None:
-        return times
+        return tuple(times)
     if not times[-1]:
         raise InputError("the last state of the series is at time zero")
     return tuple(time * reading.travel / times[-1] for time in times)
@@ -300,59 +294,56 @@ def _understood(
     sheet: FormedSheet, reading: Reading, where: object
 ) -> tuple[FormedSheet, tuple[str, ...]]:
     """Sheet with its places and its shear angle, and how these were found."""
-    notes: list[str] = []
-    sheet = _placed(sheet, reading, where, notes)
     chosen = None if reading.field == NO_FIELD else _field(sheet, reading, where)
-    by_point, by_triangle = {}, {}
+    sheet, notes = _placed(sheet, reading, where)
+    by_triangle = None
     if chosen is not None:
         kind, name = chosen
         values = reading.gamma(getattr(sheet, kind)[name])
         notes.append(f"angle from the {kind.removesuffix('_fields')} field '{name}'")
         if kind == "point_fields":
-            by_point = {ANGLE: values}
-        else:
-            by_triangle = {ANGLE: values}
+            return replace(sheet, point_fields={ANGLE: values}, cell_fields={}), tuple(notes)
+        by_triangle = values
     elif reading.field != NO_FIELD and sheet.points is not None and sheet.flat is not None:
         values = sheet.sheared(rotation(reading.orientation).T)
-        by_triangle = {ANGLE: values if reading.signed else np.abs(values)}
+        by_triangle = values if reading.signed else np.abs(values)
         notes.append(
             f"angle worked out from the displacements, warp at {reading.orientation:g}° to x"
         )
-    if by_triangle:
-        by_point = {ANGLE: sheet.at_nodes(by_triangle[ANGLE])}
-        by_triangle = by_triangle if np.isfinite(by_triangle[ANGLE]).all() else {}
-    return replace(sheet, point_fields=by_point, cell_fields=by_triangle), tuple(notes)
+    if by_triangle is None:
+        return replace(sheet, point_fields={}, cell_fields={}), tuple(notes)
+    by_point = {ANGLE: sheet.at_nodes(by_triangle)}
+    whole = {ANGLE: by_triangle} if np.isfinite(by_triangle).all() else {}
+    return replace(sheet, point_fields=by_point, cell_fields=whole), tuple(notes)
 
 
-def _placed(sheet: FormedSheet, reading: Reading, where: object, notes: list[str]) -> FormedSheet:
-    """Sheet with formed and flat positions from those in the file and the displacements."""
+def _placed(sheet: FormedSheet, reading: Reading, where: object) -> tuple[FormedSheet, list[str]]:
+    """Sheet with formed and flat positions from those in the file and the displacements; notes."""
     points = reading.scale * sheet.points
-    if sheet.flat is not None:
-        return replace(sheet, points=points, flat=reading.scale * sheet.flat)
+    flat = None if sheet.flat is None else reading.scale * sheet.flat
     name = next((n for n in sheet.point_fields if n.casefold() in DISPLACEMENTS), None)
-    if name is None:
-        if reading.coordinates == "flat":
-            return replace(sheet, points=None, flat=points[:, :2])
-        return replace(sheet, points=points)
+    if flat is not None or name is None:
+        if flat is None and reading.coordinates == "flat":
+            points, flat = None, points[:, :2]
+        return replace(sheet, points=points, flat=flat), []
     moved = reading.scale * np.asarray(sheet.point_fields[name], dtype=float)
     moved = np.pad(moved.reshape(len(points), -1), ((0, 0), (0, 3)))[:, :3]
     if not np.isfinite(moved).all():
         lost = len(moved) - np.isfinite(moved).all(1).sum()
         raise InputError(f"{where}: {lost} nodes have no displacement")
-    given = reading.coordinates
+    given, notes = reading.coordinates, []
     if given is None:
         size = np.ptp(points, axis=0).max()
         bent = np.ptp(points[:, 2]), np.ptp((points - moved)[:, 2])
         given = "flat" if bent[0] < FLAT * size < bent[1] else "formed"
         notes.append(f"its points are taken as the {given} ones")
-    formed = points + moved if given == "flat" else points
+    fields = {**sheet.point_fields, "displacement": moved}
+    points = points + moved if given == "flat" else points
+    sheet = replace(sheet, points=points, point_fields=fields)
     try:
-        return replace(
-            sheet, points=formed, point_fields=sheet.point_fields | {"displacement": moved}
-        ).with_flat()
+        return sheet.with_flat(), notes
     except InputError:
-        notes.append("its undeformed sheet is not flat, so it has no flat coordinates")
-        return replace(sheet, points=formed)
+        return sheet, [*notes, "its undeformed sheet is not flat, so it has no flat coordinates"]
 
 
 def _field(sheet: FormedSheet, reading: Reading, where: object) -> tuple[str, str] | None:

@@ -82,16 +82,7 @@ class Shells:
 def read_inp(path: Path, refused: tuple[str, ...] = ("INCLUDE",)) -> Shells:
     """Read the nodes and shell elements of an .inp file; rigid ones only if there are no others.
 
-    Parameters
-    ----------
-    path : path
-    refused : tuple of str
-        Keywords that the file must not have.
-
-    Raises
-    ------
-    InputError
-        Naming the line and its defect.
+    A file with a `refused` keyword, and any defect, raises InputError with the number of the line.
     """
     nodes: dict[int, list[float]] = {}
     cells: tuple[dict[int, list[int]], ...] = {}, {}  # others, rigid

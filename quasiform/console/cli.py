@@ -121,23 +121,23 @@ def _known(what: str, name: str, known: Iterable[str]) -> str:
     return name
 
 
-def _pairs(what: str, module: str, value: type, example: str) -> Callable[[str], dict[str, Any]]:
-    """Reader of NAME=VALUE,... with names of a module; a comma without a NAME= is of a value."""
+def _pairs(what: str, module: str, value: type, example: str) -> Parameter:
+    """NAME=VALUE,... with names that a module knows; a comma without a NAME= is of a value."""
 
     def read(text: str) -> dict[str, Any]:
         names, pairs = import_module(f"quasiform.identification.{module}").NAMES, {}
         for entry in re.split(r",(?=\s*\w+\s*=)", text):
             name, _, given = (part.strip() for part in entry.partition("="))
-            given = given.strip("\"'")
-            if _known(what, name, names) in pairs or not given:
-                raise ValueError(f"expected {example} with each name once, got '{text}'")
+            expected = f"expected {example} with each name once, got '{entry}'"
+            if _known(what, name, names) in pairs or not (given := given.strip("\"'")):
+                raise ValueError(expected)
             try:
                 pairs[name] = value(given)
             except ValueError:
-                raise ValueError(f"expected {example}, got '{entry}'") from None
+                raise ValueError(expected) from None
         return pairs
 
-    return read
+    return word(read, "NAME=VALUE,...")
 
 
 def _pictures(text: str) -> tuple[str, ...]:
@@ -179,12 +179,10 @@ File = Annotated[Path, word(_path, "FILE")]
 Law = Annotated[str, Parameter(metavar="LAW", completer=_or_file("locking", "best-fit"))]
 SceneName = Annotated[str, Parameter(completer=_or_file("box", "hemisphere", "tetrahedron"))]
 Keep = Annotated[
-    dict[str, float],
-    word(_pairs("parameter", "fit", float, "NAME=VALUE,... such as I_lo=0.8"), "NAME=VALUE,..."),
+    dict[str, float], _pairs("parameter", "fit", float, "NAME=VALUE,... such as I_lo=0.8")
 ]
 Columns = Annotated[
-    dict[str, str],
-    word(_pairs("quantity", "records", str, "NAME=WORD,... such as force=3"), "NAME=WORD,..."),
+    dict[str, str], _pairs("quantity", "records", str, "NAME=WORD,... such as force=3")
 ]
 Discs = Annotated[list[tuple[str, Any]], word(_disc, "NAME=X,Y,RADIUS")]
 MESH = Group("Mesh", validator=LimitedChoice())
@@ -268,10 +266,7 @@ def form(
     *,
     accuracy: Annotated[
         Degrees | None,
-        about(
-            "Refine until the estimated error of the shear angle (99th percentile) is below this.",
-            group=MESH,
-        ),
+        about("Refine until the estimated error of the shear angle (p99) is below.", group=MESH),
     ] = None,
     seeds: Annotated[
         Count | None, about("Solve the path N times more with noise, to see what is robust.")
@@ -325,7 +320,7 @@ def identify(
     tests: Tests = Tests(),
     dry_run: Annotated[bool, about("Print what is in the tests; write nothing.")] = False,
     output: Output = Output(),
-) -> int:
+) -> None:
     """Material file from off-axis tension, picture-frame and cantilever tests."""
     from ..identification.campaign import load
     from ..identification.identified import FILES
@@ -333,14 +328,15 @@ def identify(
     folder = output.folder(f"{file.stem}-fabric", FILES)
     campaign = load(file, **_given(tests))
     if dry_run:
-        return terminal.say(terminal.campaign(campaign))
+        terminal.say(terminal.campaign(campaign))
+        return
     terminal.say(f"writing to {folder}", terminal.campaign(campaign))
     if campaign.shear:
         loop = " or minutes, with finite elements in the loop"
         terminal.say(f"fitting, some seconds{loop if campaign.method == 'inverse' else ''}")
     found = qf.identify(campaign)
     found.save(folder, force=output.force)
-    return terminal.say(terminal.identified(found), terminal.files(folder, FILES))
+    terminal.say(terminal.identified(found), terminal.files(folder, FILES))
 
 
 @Parameter(name="*")
@@ -412,8 +408,8 @@ def compare(
     comparison = qf.compare(result, reference, **given)
     terminal.say(f"writing to {folder}")
     comparison.save(folder, force=output.force)
-    notes = [f"  {note}" for note in comparison.notes]
-    terminal.say(comparison.table(), *notes, terminal.files(folder, FILES))
+    terminal.say(comparison.table(), *(f"  {note}" for note in comparison.notes))
+    terminal.say(terminal.files(folder, FILES))
     return 0 if comparison.held else 1
 
 
@@ -428,11 +424,8 @@ def export(
     ] = None,
     trim: Annotated[
         str | None,
-        about(
-            "Flat pattern of a closed line of points, the sheet's edge, or the die's opening.",
-            group=PRODUCT,
-            metavar="FILE.csv|edge|die",
-        ),
+        about("Flat pattern of a line, the sheet's edge or the die's opening.", group=PRODUCT),
+        Parameter(metavar="FILE.csv|edge|die"),
     ] = None,
     deck: Annotated[bool, about("Abaqus/Explicit deck of a scene.", group=PRODUCT)] = False,
     mesh: Annotated[File | None, about("--to: structural mesh (the formed sheet's).")] = None,
@@ -440,9 +433,7 @@ def export(
     within: Annotated[
         Length | None, about("Farther is off the sheet (spacing of a mesh; thickness for a line).")
     ] = None,
-    axis: Annotated[
-        Literal["warp", "weft", "bisector"], about("calculix: what local 1 is.")
-    ] = "warp",
+    axis: Annotated[Literal["warp", "weft", "bisector"], about("calculix: local 1.")] = "warp",
     reference: Annotated[
         tuple[float, float, float],
         word(_direction, "X,Y,Z"),
@@ -450,41 +441,43 @@ def export(
     ] = (1.0, 0.0, 0.0),
     options: Scene = Scene(),
     output: Output = Output(),
-) -> int:
+) -> None:
     """Fibre directions for a structural code, a flat pattern, or an Abaqus deck (of a scene)."""
     from ..handover import handover, pattern
 
     path, force = Path(source), output.force
     if deck:
-        model = qf.forming(source, *astuple(options))
-        files: Sequence[str] = (f"{_case(model.name)}.inp",)
-        folder = output.folder(f"{model.name}-deck", files)
-        notes = qf.abaqus_deck(model, folder / files[0], force=force)
-        lines, general = [], ()
+        _deck(qf.forming(source, *astuple(options)), output)
     elif trim:
-        folder = output.folder(f"{path.resolve().name}-pattern", files := pattern.FILES)
+        folder = output.folder(f"{path.resolve().name}-pattern", pattern.FILES)
         found = qf.flat_pattern(path, trim, within=within, scale=scale)
         found.save(folder, force=force)
-        count = "1 line" if len(found.trim) == 1 else f"{len(found.trim)} lines"
-        lines, notes = [f"{count} to cut, {found.area:.6g} mm² inside"], found.notices
-        general, where = pattern.NOT_MODELLED, "pattern.txt"
+        lines = "1 line" if len(found.trim) == 1 else f"{len(found.trim)} lines"
+        terminal.say(f"writing to {folder}", f"{lines} to cut, {found.area:.6g} mm² inside")
+        terminal.say(*terminal.notes(found.notices, pattern.NOT_MODELLED, "pattern.txt"))
+        terminal.say(terminal.files(folder, pattern.FILES))
     else:
         folder = output.folder(f"{path.resolve().name}-{to}", handover.FILES)
         how = {"mesh": mesh, "scale": scale, "within": within, "axis": axis}
-        found = qf.export(path, to, folder, **how, reference=reference, force=force)
-        lines, notes, files = [], found.notices, found.files
-        general, where = found.general, handover.NOTES
-    lines += [f"  note: {note}" for note in notes if note not in general]
-    if general:
-        lines.append(f"  and {len(general)} notes true of every such export, in {where}")
-    return terminal.say(f"writing to {folder}", *lines, terminal.files(folder, files))
+        handed = qf.export(path, to, folder, **how, reference=reference, force=force)
+        terminal.say(f"writing to {folder}")
+        terminal.say(*terminal.notes(handed.notices, handed.general, handover.NOTES))
+        terminal.say(terminal.files(folder, handed.files))
+
+
+def _deck(model: qf.Model, output: Output) -> None:
+    file = f"{_case(model.name)}.inp"
+    folder = output.folder(f"{model.name}-deck", (file,))
+    terminal.say(f"writing to {folder}")
+    notes = qf.abaqus_deck(model, folder / file, force=output.force)
+    terminal.say(*terminal.notes(notes), terminal.files(folder, (file,)))
 
 
 @app.command
 def resume(folder: Annotated[Folder, about("Folder of the run.")], /) -> int:
     """Continue a run of `oat` or `form` from the last increment in its folder."""
     journal = qf.Journal(folder, resume=True)
-    if not isinstance(journal.options, dict) or set(journal.options) != set(OPTIONS):
+    if set(journal.options) != set(OPTIONS):
         raise InputError(
             f"{folder}: the run there was not started by a command; continue it with "
             "solve(model, out=..., resume=True)"
@@ -509,7 +502,7 @@ def plot(
         Literal["gif", "mp4"] | None, about("Animate the travel (mp4 needs ffmpeg).")
     ] = None,
     output: Output = Output(),
-) -> int:
+) -> None:
     """Pictures of results, one or several side by side, and a table of their key numbers."""
     import csv
 
@@ -525,7 +518,8 @@ def plot(
     rows = pictures.table(runs)
     shown = terminal.table(zip(*rows, strict=True))
     if table:
-        return terminal.say(shown)
+        terminal.say(shown)
+        return
     pictures.check_animation(animate)
     name = f"{runs[0].label}-pictures" if len(runs) == 1 else "pictures"
     target = output.folder(name, pictures.FILES)
@@ -534,8 +528,7 @@ def plot(
         notes = pictures.save(runs, staging, only, scale, animate)
         with (staging / "table.csv").open("w", newline="", encoding="utf-8") as file:
             csv.writer(file).writerows(rows)
-    notes = [f"  note: {note}" for note in notes]
-    return terminal.say(shown, *notes, terminal.files(target, pictures.FILES))
+    terminal.say(shown, *terminal.notes(notes), terminal.files(target, pictures.FILES))
 
 
 @app.command
@@ -546,7 +539,7 @@ def view(
     travel: Annotated[Length | None, about("Show the state nearest to it (the last).")] = None,
     open: Annotated[bool, about("Open the page in the browser.")] = False,
     output: Output = Output(),
-) -> int:
+) -> None:
     """A result as one HTML page to rotate, zoom and probe; `--out` is its name.
 
     Needs plotly (pip install 'quasiform[report]').
@@ -564,7 +557,6 @@ def view(
     terminal.say(view.words(run), f"file: {path}")
     if open and not webbrowser.open(path.resolve().as_uri()):
         raise InputError(f"no browser was found: open {path} yourself")
-    return 0
 
 
 @app.command
@@ -573,7 +565,7 @@ def new(
     /,
     *,
     force: Annotated[bool, about("Replace the file.")] = False,
-) -> int:
+) -> None:
     """Write a commented scene file to start from; it runs as it is."""
     if file.suffix != ".toml":
         raise InputError(f"{file}: expected the name of a .toml file")
@@ -583,25 +575,25 @@ def new(
         Output(force=force).file(file).write_text(text, encoding="utf-8")
     except OSError as error:
         raise InputError(f"cannot write to {file}: {error.strerror or error}") from error
-    return terminal.say(f"file: {file}", f"look at it: quasiform form {file} --dry-run")
+    terminal.say(f"file: {file}", f"look at it: quasiform form {file} --dry-run")
 
 
 @app.command
-def schema() -> int:
+def schema() -> None:
     """Print the JSON schema of a scene file, for editors."""
     import json
 
     from ..scenes.scene_file import json_schema
 
-    return terminal.say(json.dumps(json_schema(), indent=2))
+    terminal.say(json.dumps(json_schema(), indent=2))
 
 
 @app.command
-def doctor() -> int:
+def doctor() -> None:
     """Print versions, linear solvers, threads and optional parts of this installation."""
     from . import doctor
 
-    return terminal.say(terminal.table(doctor.examine()))
+    terminal.say(terminal.table(doctor.examine()))
 
 
 @app.command
@@ -646,7 +638,8 @@ def _solve(
     lines = [terminal.describe(model), f"  expected time: {forecast.words(found)}"]
     if accuracy:
         lines.append("  and longer where --accuracy asks for a finer mesh than that")
-    return terminal.say(*lines)
+    terminal.say(*lines)
+    return 0
 
 
 def _run(model: qf.Model, journal: qf.Journal) -> int:

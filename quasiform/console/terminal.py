@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -51,6 +51,14 @@ def table(rows: Iterable[Iterable[object]], indent: int = 0) -> str:
 def files(folder: Path, names: Sequence[str]) -> str:
     """Which of the files were written."""
     return f"files in {folder}: {', '.join(name for name in names if (folder / name).exists())}"
+
+
+def notes(found: Iterable[str], general: Collection[str] = (), where: str = "") -> list[str]:
+    """Notes of a hand-over; those that are true of every one are counted only."""
+    lines = [f"  note: {note}" for note in found if note not in general]
+    if general:
+        lines.append(f"  and {len(general)} notes true of every such export, in {where}")
+    return lines
 
 
 def number(value: float, digits: int = 4) -> str:

@@ -1,11 +1,11 @@
-"""An Abaqus/Explicit deck of a scene, for an explicit run of one's own beside the implicit one.
+"""An Abaqus/Explicit deck of a model, for an explicit run of one's own beside the implicit one.
 
 Units N, mm, s, t, MPa. The sheet is membranes (M3D3, a user material, which is the fabric's law)
 and shells (S3, bending) on the same nodes; tools are rigid triangles (R3D3) with a reference node;
 contact is a penalty with the fabric's compaction stiffness and Coulomb friction. The holder comes
 to rest in a first step, the punch travels in a second one by a smooth step.
 
-The order of the constants of the user material is written into the deck (`CONSTANTS`).
+The order of the constants of the user material stands in the deck (`templates/deck.inp`).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from ..energy.friction import Friction
 from ..energy.membrane import Membrane
 from ..energy.weight import GRAVITY, SheetWeight, ToolWeight
 from ..fabric import Fabric, TabulatedLaw, ThreeStageLaw
-from ..model import Scene
+from ..model import Model
 from ..result.summary import package_version
 from ..tools.shapes import Tool
 from .inp import DENSITY
@@ -40,40 +40,26 @@ NOT_RUN = (
     "the deck is not run: its syntax is checked only; mass scaling and the time are yours "
     "to choose, watch the kinetic energy"
 )
-CARRIED = (Membrane, Bending, Contact, Friction, SheetWeight, ToolWeight)
-CONSTANTS = (
-    "Constants of the user material FABRIC (a VUMAT of your own), MPa. With the deformation "
-    "gradient F, the flat fibres a0 (local 1), b0 (local 2): I4 = a0.C.a0, I6 = a0.C.b0, "
-    "I8 = b0.C.b0, W = W4(I4) + W6(I6) + W8(I8) per flat volume.",
-    "S = 2 W4' a0xa0 + W6' (a0xb0 + b0xa0) + 2 W8' b0xb0 (second Piola-Kirchhoff).",
-    "W' = sgn(I - I0) [C_ini min(x, I_t) + (C_mid y + dS_mid)(1 - exp(-c y)) + C_lo z z] with "
-    "x = |I - I0|, I_t = S_ini/C_ini, c = C_ini/dS_mid, y = max(x - I_t, 0), z = max(x - I_lo, 0); "
-    "I0 = 1 for I4 and I8, 0 for I6. S_ini = 0 stands for the linear law W' = C_ini (I - I0).",
-    " 1- 6  C_ini, S_ini, C_mid, dS_mid, C_lo, I_lo of the warp, W4",
-    " 7-12  the same of the weft, W8",
-    "13     points of the table of the shear law, 0 for none",
-    "14-19  without a table: the six constants of the shear law, W6",
-    "14-    with one: I6, W6' of each of its points",
-)
+KNOWN = (Membrane, Bending, Contact, Friction, SheetWeight, ToolWeight)
 
 
 def abaqus_deck(
-    scene: Scene,
+    model: Model,
     path: str | Path,
     *,
     speed: float = SPEED,
     spacing: float | None = None,
     force: bool = False,
 ) -> tuple[str, ...]:
-    """Write an Abaqus/Explicit input file of a scene; nothing is solved.
+    """Write an Abaqus/Explicit input file of a model; nothing is solved.
 
-    The deck holds what the scene models: a quarter where that has two mirror planes, with symmetry
-    conditions (build the scene with `symmetry="none"` for the whole). It needs a VUMAT of your own
+    The deck holds what the model models: a quarter where that has two mirror planes, with symmetry
+    conditions (build the model with `symmetry="none"` for the whole). It needs a VUMAT of your own
     for the user material FABRIC; the order of its constants stands in the deck.
 
     Parameters
     ----------
-    scene : Scene
+    model : Model
     path : path
         .inp
     speed : float
@@ -101,38 +87,38 @@ def abaqus_deck(
     if path.exists() and not force:
         raise InputError(f"{path} exists already: choose another name, or replace it with --force")
     notices: list[str] = []
-    bends = any(isinstance(term, Bending) for term in scene.terms)
+    bends = any(isinstance(term, Bending) for term in model.terms)
     if not bends:
-        notices.append("membranes alone: the scene has no bending")
-    places = scene.positions(scene.x0)
+        notices.append("membranes alone: the model has no bending")
+    places = model.sheet.positions(model.x0)
     places = np.pad(places, ((0, 0), (0, 3 - places.shape[1])))
-    nodes, labels = 1 + np.arange(len(places)), 1 + np.arange(len(scene.blank.triangles))
+    nodes, labels = 1 + np.arange(len(places)), 1 + np.arange(len(model.sheet.blank.triangles))
     offset = 10 ** len(str(max(nodes[-1], labels[-1])))
-    material = _material(scene, bends, notices)
-    tools = _tools(scene, places, spacing, (offset, offset * (1 + bends)), notices)
-    travel = _travel(scene)
-    supports = _supports(scene, travel, bends, notices)
-    motions = _motions(scene, travel, tools, notices)
-    driven = scene.travel if any(rigid.tool.motion == "driven" for rigid in tools) else 0.0
-    time = max(float(np.abs(_of_nodes(scene, travel)).max()), driven, 1.0) / speed
+    material = _material(model, bends, notices)
+    tools = _tools(model, places, spacing, (offset, offset * (1 + bends)), notices)
+    travel = _travel(model)
+    supports = _supports(model, travel, bends, notices)
+    motions = _motions(model, travel, tools, notices)
+    driven = model.travel if any(rigid.tool.motion == "driven" for rigid in tools) else 0.0
+    time = max(float(np.abs(_of_nodes(model, travel)).max()), driven, 1.0) / speed
     settling = [("the holder comes to rest", SETTLE)] * any(rigid.free for rigid in tools)
-    for term in scene.terms:
-        if not isinstance(term, CARRIED):
-            notices.append(f"not carried: {getattr(term, 'name', type(term).__name__)}")
+    for term in model.terms:
+        if not isinstance(term, KNOWN):
+            notices.append(f"not in the deck: {getattr(term, 'name', type(term).__name__)}")
     notices.insert(0, NOT_RUN)
-    words = [f"Fabric {scene.fabric.name}. Units N, mm, s, t, MPa.", *notices, *CONSTANTS]
-    words += [f"{entry}: {why}" for entry, why in scene.model]
+    words = [f"Fabric {model.sheet.fabric.name}. Units N, mm, s, t, MPa.", *notices]
+    words += [f"{entry}: {why}" for entry, why in model.description]
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         fill(
             "deck.inp",
             path,
             version=package_version(),
-            **{"scene": scene, "words": words, "bends": bends, "nodes": nodes, "places": places},
+            **{"model": model, "words": words, "bends": bends, "nodes": nodes, "places": places},
             **{"membranes": labels, "shells": labels + offset, "tools": tools},
             **{"supports": supports, "motions": motions, "settle": SETTLE, "time": time},
             steps=[*settling, ("travel", time)],
-            heavy=any(isinstance(term, SheetWeight) for term in scene.terms),
+            heavy=any(isinstance(term, SheetWeight) for term in model.terms),
             gravity=1e6 * GRAVITY,
             **material,
         )
@@ -142,7 +128,7 @@ def abaqus_deck(
 
 
 def constants(fabric: Fabric) -> list[float]:
-    """Constants of the user material, in the order of `CONSTANTS`."""
+    """Constants of the user material, in the order written in the deck."""
 
     def six(law: ThreeStageLaw) -> list[float]:
         if law.linear:
@@ -156,9 +142,9 @@ def constants(fabric: Fabric) -> list[float]:
     return [*found, 0.0, *six(shear)]
 
 
-def _material(scene: Scene, bends: bool, notices: list[str]) -> dict[str, Any]:
+def _material(model: Model, bends: bool, notices: list[str]) -> dict[str, Any]:
     """Values of the sections and materials."""
-    fabric, t0 = scene.fabric, scene.fabric.thickness
+    fabric, t0 = model.sheet.fabric, model.sheet.fabric.thickness
     density = DENSITY * fabric.areal_weight / t0 / (1 + bends)
     if not density:
         notices.append("the fabric has no areal weight: an explicit run needs a density")
@@ -176,15 +162,15 @@ def _material(scene: Scene, bends: bool, notices: list[str]) -> dict[str, Any]:
             "has no stiffness against twisting",
             "membranes and shells have half the mass each",
         ]
-    if bends and fabric.in_plane_bending and scene.dim == 3:
+    if bends and fabric.in_plane_bending and model.sheet.dim == 3:
         notices.append(
-            f"not carried: in-plane bending of the fibres ({fabric.in_plane_bending:g} of the "
+            f"not in the deck: in-plane bending of the fibres ({fabric.in_plane_bending:g} of the "
             "bending stiffness), which shells of this kind do not have"
         )
     return {
         "t0": t0,
         "density": density,
-        "axes": (*scene.blank.warp, 0.0, *scene.blank.weft, 0.0),
+        "axes": (*model.sheet.blank.warp, 0.0, *model.sheet.blank.weft, 0.0),
         "constants": [f"{value:.9g}" for value in constants(fabric)],
         "lamina": (*E, 0.0, G, G, G),
     }
@@ -215,20 +201,20 @@ class _Rigid:
 
 
 def _tools(
-    scene: Scene,
+    model: Model,
     places: FloatArray,
     spacing: float | None,
     last: tuple[int, int],
     notices: list[str],
 ) -> list[_Rigid]:
-    """Tools of the scene, labelled after the last node and the last element."""
+    """Tools of the model, labelled after the last node and the last element."""
     found: dict[str, _Rigid] = {}
     last_node, last_element = last
-    for contact in scene.contacts:
+    for contact in model.contacts:
         tool, dof = contact.tool, int(contact.tool_dofs[0])
         if tool.name in found:
             continue
-        vertices, triangles = _triangles(scene, places, contact, spacing, notices)
+        vertices, triangles = _triangles(model, places, contact, spacing, notices)
         plain = "".join(c if c.isascii() and c.isalnum() else "_" for c in tool.name).upper()
         name = f"T_{plain}"[:60]
         while name in {rigid.name for rigid in found.values()}:
@@ -239,13 +225,13 @@ def _tools(
                 f"the {tool.name} has a force and no mass: {mass:.3g} kg, which weigh as much, "
                 "stand in"
             )
-        weights = (term for term in scene.terms if isinstance(term, ToolWeight))
+        weights = (term for term in model.terms if isinstance(term, ToolWeight))
         found[tool.name] = _Rigid(
-            *(tool, dof, name, contact.origin(scene.x0), vertices, triangles),
+            *(tool, dof, name, contact.origin(model.x0), vertices, triangles),
             reference=last_node + 1,
             elements=last_element + 1 + np.arange(len(triangles)),
             load=sum(float(term.force) for term in weights if term.dofs[0, 0] == dof),
-            mass=1e-3 * mass * scene.share,
+            mass=1e-3 * mass * model.share,
         )
         last_node += 1 + len(vertices)
         last_element += len(triangles) + found[tool.name].free
@@ -258,26 +244,26 @@ def _tools(
 
 
 def _triangles(
-    scene: Scene,
+    model: Model,
     places: FloatArray,
     contact: Contact,
     spacing: float | None,
     notices: list[str],
 ) -> tuple[FloatArray, np.ndarray]:
     """Triangles of a tool in its own frame."""
-    tool, origin = contact.tool, contact.origin(scene.x0)
-    given = from_scene_file(tool, scene.parameters, scene.turn)
+    tool, origin = contact.tool, contact.origin(model.x0)
+    given = from_scene_file(tool, model.parameters, model.sheet.turn)
     if given is not None:
         notices.append(f"the {tool.name} has the {len(given[1])} triangles of its file")
         return given
-    deep = scene.travel if scene.travel_name == "travel_mm" else np.ptp(places, axis=0).max()
+    deep = model.travel if model.travel_name == "travel_mm" else np.ptp(places, axis=0).max()
     margin = np.array([MARGIN, MARGIN, MARGIN + deep])
     low, high = places.min(0) - origin - margin, places.max(0) - origin + margin
     box = getattr(tool.shape, "box", None)
     if box is not None:
         low, high = np.maximum(low, box[0] - MARGIN), np.minimum(high, box[1] + MARGIN)
-    fine = fine_enough(tool.shape, OFF * scene.fabric.thickness)
-    wanted = spacing or min(scene.blank.size, fine)
+    fine = fine_enough(tool.shape, OFF * model.sheet.fabric.thickness)
+    wanted = spacing or min(model.sheet.blank.size, fine)
     vertices, triangles, taken, off = sampled(tool.shape, low, high, wanted)
     coarser = f", not {wanted:.3g} as wanted," if taken > wanted * (1 + 1e-9) else ""
     notices.append(
@@ -287,24 +273,24 @@ def _triangles(
     return vertices, triangles
 
 
-def _travel(scene: Scene) -> FloatArray:
+def _travel(model: Model) -> FloatArray:
     """Prescribed motion of all unknowns over the whole travel, mm."""
-    end = scene.prescribed(scene.travel)[0] - scene.x0
-    return np.where(scene.fixed & (np.abs(end) > 1e-12), end, 0.0)
+    end = model.prescribed(model.travel)[0] - model.x0
+    return np.where(model.fixed & (np.abs(end) > 1e-12), end, 0.0)
 
 
-def _of_nodes(scene: Scene, values: np.ndarray) -> np.ndarray:
+def _of_nodes(model: Model, values: np.ndarray) -> np.ndarray:
     """(n_nodes, dim) values of the nodes among those of all unknowns."""
-    return values[: scene.n_nodal].reshape(-1, scene.dim)
+    return values[model.sheet.dofs]
 
 
 def _supports(
-    scene: Scene, travel: FloatArray, bends: bool, notices: list[str]
+    model: Model, travel: FloatArray, bends: bool, notices: list[str]
 ) -> list[tuple[str, np.ndarray, str]]:
-    """Sets of nodes that symmetry or the scene holds: name, nodes, what is held."""
-    blank, found = scene.blank, []
+    """Sets of nodes that symmetry or the model holds: name, nodes, what is fixed."""
+    blank, found = model.sheet.blank, []
     nodes = 1 + np.arange(len(blank.nodes))
-    fixed = _of_nodes(scene, scene.fixed).copy()
+    fixed = _of_nodes(model, model.fixed).copy()
     for axis, plane in enumerate("xy"):
         if plane in blank.mirror:
             on = np.abs(blank.nodes[:, axis]) < 1e-9
@@ -312,28 +298,28 @@ def _supports(
             found.append((f"MIRROR_{plane.upper()}", nodes[on], f"{plane.upper()}SYMM"))
     if blank.mirror:
         notices.append(
-            f"{scene.share:g} of the whole is modelled: multiply forces by {1 / scene.share:g}"
+            f"{model.share:g} of the whole is modelled: multiply forces by {1 / model.share:g}"
         )
-    if scene.turn:
+    if model.sheet.turn:
         notices.append(
-            f"the deck is in the model's axes, turned by {scene.turn:g}° from the scene's"
+            f"the deck is in the model's axes, turned by {model.sheet.turn:g}° from the model's"
         )
-    for axis, held in enumerate((fixed & (_of_nodes(scene, travel) == 0)).T, 1):
+    for axis, held in enumerate((fixed & (_of_nodes(model, travel) == 0)).T, 1):
         if held.any():
             found.append((f"HELD_{axis}", nodes[held], f"{axis}, {axis}"))
     if bends and fixed.any():
-        notices.append("supports hold places only: a clamp's rotations are not carried")
+        notices.append("supports hold places only: a clamp's rotations are not in the deck")
     return found
 
 
 def _motions(
-    scene: Scene, travel: FloatArray, tools: list[_Rigid], notices: list[str]
+    model: Model, travel: FloatArray, tools: list[_Rigid], notices: list[str]
 ) -> list[tuple[str, int, float]]:
     """Motion of driven tools and of prescribed nodes: node or set, axis, mm."""
-    if callable(scene.drive):
+    if callable(model.drive):
         notices.append("prescribed nodes go straight to their end, not along their path")
     driven = [rigid for rigid in tools if rigid.tool.motion == "driven"]
-    moved = _of_nodes(scene, travel)
+    moved = _of_nodes(model, travel)
     return [
         *((f"{rigid.name}_REF", 3, travel[rigid.dof]) for rigid in driven),
         *((str(node + 1), axis + 1, moved[node, axis]) for node, axis in np.argwhere(moved)),

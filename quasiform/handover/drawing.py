@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import dataclass
 from pathlib import Path
 from xml.sax.saxutils import escape
 
 import numpy as np
 
 from ..checks import optional
-from .pattern import FlatPattern
 
 FloatArray = np.ndarray
 ARROW = 0.15  # of the blank's size
@@ -18,14 +18,30 @@ LAYERS = {"BLANK": (8, "#777777"), "TRIM": (1, "#d00000"), "MARKS": (5, "#0050b0
 """Layers with their colours: numbers in DXF, names in SVG."""
 
 
-def write_dxf(pattern: FlatPattern, path: Path) -> None:
-    """Write layers BLANK, TRIM and MARKS, $INSUNITS millimetres.
+@dataclass(frozen=True, eq=False)
+class Drawing:
+    """Lines of a cut in the flat blank, seen from the upper side, where the punch is.
 
-    Raises
-    ------
-    InputError
-        If ezdxf is missing.
+    Parameters
+    ----------
+    name : str
+        Of the part, as written into the files.
+    trim : list of (k, 2) arrays
+        Lines to cut along, mm; a closed one repeats its first point.
+    blank : list of (k, 2) arrays
+        Outline of the blank and of its holes, closed, mm.
+    along : (2, 2) array
+        Flat unit vectors of warp (0°) and weft (90°).
     """
+
+    name: str
+    trim: list[FloatArray]
+    blank: list[FloatArray]
+    along: FloatArray
+
+
+def write_dxf(pattern: Drawing, path: Path) -> None:
+    """Write layers BLANK, TRIM and MARKS, $INSUNITS millimetres; needs ezdxf."""
     ezdxf = optional("ezdxf", "cad", "a .dxf file needs ezdxf")
     drawing = ezdxf.new("R2010")
     drawing.header["$INSUNITS"] = 4
@@ -44,7 +60,7 @@ def write_dxf(pattern: FlatPattern, path: Path) -> None:
     drawing.saveas(path)
 
 
-def write_svg(pattern: FlatPattern, path: Path) -> None:
+def write_svg(pattern: Drawing, path: Path) -> None:
     """Write the same as SVG; a unit of its view is a millimetre."""
     points = np.vstack([*pattern.blank, *pattern.trim])
     margin = 0.05 * float(np.ptp(points, axis=0).max())
@@ -72,7 +88,7 @@ def write_svg(pattern: FlatPattern, path: Path) -> None:
     path.write_text("\n".join([*out, "</svg>", ""]), encoding="utf-8")
 
 
-def write_csv(pattern: FlatPattern, path: Path) -> None:
+def write_csv(pattern: Drawing, path: Path) -> None:
     """Write the points of the lines: layer, number of the line in it, x, y."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
@@ -85,13 +101,13 @@ def write_csv(pattern: FlatPattern, path: Path) -> None:
 Mark = tuple[FloatArray | None, str, FloatArray, float]
 
 
-def _lines(pattern: FlatPattern, marks: list[Mark]) -> dict[str, list[FloatArray]]:
+def _lines(pattern: Drawing, marks: list[Mark]) -> dict[str, list[FloatArray]]:
     """Lines by layer."""
     arrows = [line for line, *_ in marks if line is not None]
     return {"BLANK": pattern.blank, "TRIM": pattern.trim, "MARKS": arrows}
 
 
-def _marks(pattern: FlatPattern) -> list[Mark]:
+def _marks(pattern: Drawing) -> list[Mark]:
     """Arrow (k, 2) or None, its words, where they begin, and how high they are, mm."""
     points = np.vstack(pattern.blank)
     low, high = points.min(0), points.max(0)

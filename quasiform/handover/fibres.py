@@ -28,10 +28,10 @@ FAMILIES = ("warp", "weft")
 STEEP = 30.0  # degrees between an element and the sheet: beyond, the projection is doubtful
 NOT_MODELLED = (
     "one ply is handed over: several plies, and their sliding on each other, are not modelled",
-    "rovings do not slip in the model, and the fabric does not tear or open: gaps are not carried",
+    "rovings do not slip in the model, and the fabric does not tear or open: it has no gaps",
     "thickness and areal weight follow from the area at constant volume and mass (assumed); "
     "compaction by tools and by a later infusion is not in them",
-    "stresses and contact pressures of the forming are not carried: the part is free of stress",
+    "stresses and contact pressures of the forming are left out: the part is free of stress",
 )
 
 
@@ -136,28 +136,16 @@ def limits_of(record: Record) -> tuple[str, ...]:
         found.append(
             f"{doubt.sum()} of {len(doubt)} triangles of the result are marked doubtful "
             "(field 'doubt': beyond the tests of the fabric, unstable, collapsed, or rovings may "
-            "slip); the mark is not carried into the hand-over"
+            "slip); the mark is not in the files"
         )
     return tuple(found)
 
 
 def carry(record: Record, target: Shells | None = None, within: float | None = None) -> Fibres:
-    """Fibres of a run's last sheet by element of its own or of another mesh.
+    """Fibres of a run's last sheet (`read_formed`) by element of its own or of another mesh.
 
-    Parameters
-    ----------
-    record : Record
-        As of `read_formed`.
-    target : Shells, optional
-        The sheet's own mesh if not given.
-    within : float, optional
-        mm; elements whose centroid is farther from the sheet get nothing. The spacing of the
-        formed mesh if not given.
-
-    Raises
-    ------
-    InputError
-        If no element is near the sheet.
+    Elements whose centroid is farther than `within` (mm; the spacing of the formed mesh if not
+    given) from the sheet get nothing. If no element is near, InputError is raised.
     """
     sheet, notices = record.sheet, [*limits_of(record), *NOT_MODELLED]
     values = [sheet.cell_fields["warp"], sheet.cell_fields["weft"], sheet.area_ratio]
@@ -182,21 +170,12 @@ def carry(record: Record, target: Shells | None = None, within: float | None = N
         out = (direction * n).sum(1)
         steep |= np.abs(out) > np.sin(np.radians(STEEP))
         axes.append(_unit(direction - out[:, None] * n))
-    for which, words in (
-        (
-            ~known,
-            f"of {len(known)} elements are farther than {reach:.3g} mm from the sheet and get "
-            "no fibres",
-        ),
-        (
-            steep,
-            f"elements are tilted by more than {STEEP:g}° out of the sheet, their fibres are "
-            "doubtful",
-        ),
-    ):
-        if which.any():
-            first = ", ".join(map(str, target.elements[which][:5])) + ", ..." * int(which.sum() > 5)
-            notices.append(f"{which.sum()} {words}: {first}")
+    if not known.all():
+        words = f"of {len(known)} elements are farther than {reach:.3g} mm from the sheet and get"
+        notices.append(_some(target.elements[~known], f"{words} no fibres"))
+    if steep.any():
+        words = f"elements are tilted by more than {STEEP:g}° out of the sheet, their fibres are"
+        notices.append(_some(target.elements[steep], f"{words} doubtful"))
     against = (np.cross(*axes) * n).sum(1) < 0
     if against.any():
         notices.append(
@@ -209,6 +188,11 @@ def carry(record: Record, target: Shells | None = None, within: float | None = N
     )
     mapped = (record.case, target, known, *axes, found[:, 6], record.fabric, False)
     return Fibres(*mapped, tuple(notices))
+
+
+def _some(labels: np.ndarray, words: str) -> str:
+    """How many elements, what about them, and the first few of their labels."""
+    return f"{len(labels)} {words}: {', '.join(map(str, labels[:5]))}{', ...' * (len(labels) > 5)}"
 
 
 def _unit(vectors: FloatArray) -> FloatArray:

@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..checks import InputError, check_number
+from ..checks import InputError, check_number, optional
 from ..comparison.mapping import closest, on_surface, spacing
 from ..result.files import replaced
 from ..result.sheet import FormedSheet
 from ..tables import read_table
-from ..tools.surface_file import normals_of, optional
+from ..tools.mending import normals_of
+from .drawing import Drawing, write_csv, write_dxf, write_svg
 from .fibres import limits_of, read_formed
 from .keywords import write_notices
 
@@ -45,32 +46,16 @@ NOT_MODELLED = (
 
 
 @dataclass(frozen=True, eq=False)
-class FlatPattern:
-    """A cut in the flat blank.
+class FlatPattern(Drawing):
+    """A cut in the flat blank: `trim`, `blank` and `along` as in `Drawing`.
 
     Parameters
     ----------
-    name : str
-        Of the part, as written into the files.
-    trim : list of (k, 2) arrays
-        Lines to cut along, mm; a closed one repeats its first point.
-    blank : list of (k, 2) arrays
-        Outline of the blank and of its holes, closed, mm.
-    along : (2, 2) array
-        Flat unit vectors of warp (0°) and weft (90°).
     notices : tuple of str
         What the pattern does not hold: that of this one, then that of them all (`NOT_MODELLED`).
-
-    Notes
-    -----
-    Seen from the upper side, where the punch is.
     """
 
-    name: str
-    trim: list[FloatArray]
-    blank: list[FloatArray]
-    along: FloatArray
-    notices: tuple[str, ...]
+    notices: tuple[str, ...] = ()
 
     @property
     def area(self) -> float:
@@ -105,8 +90,6 @@ class FlatPattern:
         InputError
             If the folder holds a pattern already and `force` is not set, or cannot be written.
         """
-        from .drawing import write_csv, write_dxf, write_svg
-
         with replaced(out, force=force, names=FILES) as folder:
             if not _without_dxf():
                 write_dxf(self, folder / "pattern.dxf")

@@ -16,19 +16,10 @@ from ..tools.surface_file import read_mesh
 
 
 def read_target(path: str | Path, scale: float = 1.0) -> Shells:
-    """Read the shell elements of a structural mesh.
+    """Read the shell elements of a structural mesh: .inp, or what meshio reads.
 
-    Parameters
-    ----------
-    path : path
-        .inp, or what meshio reads. Of elements of higher order only the corners count.
-    scale : float
-        mm per unit of its lengths.
-
-    Raises
-    ------
-    InputError
-        Naming the file and its defect.
+    `scale` is mm per unit of its lengths. Of elements of higher order only the corners count. A
+    defect raises InputError with the name of the file.
     """
     path = Path(path)
     try:

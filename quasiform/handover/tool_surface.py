@@ -36,30 +36,11 @@ def fine_enough(shape: Shape, off: float) -> float:
 def sampled(
     shape: Shape, low: FloatArray, high: FloatArray, spacing: float
 ) -> tuple[FloatArray, np.ndarray, float, float]:
-    """Triangles of d = 0 in a box of the shape's frame, normals pointing outwards.
+    """Triangles of d = 0 between two corners of the shape's frame, normals pointing outwards.
 
-    Parameters
-    ----------
-    shape : Shape
-    low, high : (3,) array
-        mm.
-    spacing : float
-        h, mm; larger where the grid would have more than two million nodes.
-
-    Returns
-    -------
-    vertices : (n, 3) array
-        mm.
-    triangles : (m, 3) int array
-    spacing : float
-        The one taken, mm.
-    deviation : float
-        Largest |d| at the triangles' centres, mm.
-
-    Raises
-    ------
-    InputError
-        If the surface is not in the box.
+    Returns vertices (n, 3) in mm, triangles (m, 3), the spacing h that was taken (larger than the
+    one asked for where the grid would have more than two million nodes) and the largest |d| at the
+    centres of the triangles, mm. A surface that is not in the box raises InputError.
     """
     igl = optional("igl", "surface", "the triangles of a tool need libigl")
     span = high - low

@@ -6,9 +6,9 @@ alternating, so the mesh has the mirror planes and quarter turns of the net. Suc
 the stretch of a fibre on a leg and the shear at a right corner: they neither lock nor have an
 hourglass mode (the net is isostatic, as the inextensible fabric is).
 
-An outline of any form, with holes, is cut out of the net (`net.cut_net`): lines run through its
-corners and the extremes of round ones, evenly spaced between; the outline gives way where it comes
-near a line or a node, so legs stay on fibres exactly.
+An outline of any form, with holes, is cut out of the net (`cells.cut_net`). Lines run through its
+corners and the extremes of round ones, evenly spaced between. Where the outline comes near a line
+or a node, the outline is moved there, so legs stay on fibres exactly.
 
 Triangles at the outline may have one leg on a fibre only; as every node of the outline ends one
 line, the net stays isostatic and does not lock.
@@ -30,7 +30,7 @@ from scipy.sparse.csgraph import connected_components
 from skfem import Basis, ElementTriP1, MeshLine, MeshTri
 
 from ..checks import InputError, check_number
-from ..tools.mending import rings_of
+from ..tools.mending import position, rings_of
 from .cells import cut_net
 
 if TYPE_CHECKING:
@@ -282,7 +282,7 @@ def cut(
     orientation : float
         Angle of the warp to x, degrees.
     through : points, mm
-        Points that shall lie on a warp and a weft line.
+        Points that must lie on a warp and a weft line.
     mirror : tuple of "x" and "y"
         Mesh only the positive side of the planes x = 0, y = 0.
 
@@ -443,9 +443,9 @@ def _in_one_part(blank: Blank, outline: shapely.Polygon, size: float) -> Blank:
     bad = np.vstack([bad, blank.nodes[rim[visits > 1]]])  # parts joined by a node
     missing = abs(outline.area - blank.areas.sum()) > CLOSE * size * outline.length
     if len(bad) or missing:
-        x, y = np.round(bad[0] if len(bad) else outline.centroid.coords[0], 6) + 0.0
+        at = position(bad[0] if len(bad) else outline.centroid.coords[0])
         raise InputError(
-            f"size {size:g} mm is too large for the outline near ({x:.4g}, {y:.4g}): "
-            "it is narrower there than the spacing of the fibre lines"
+            f"size {size:g} mm is too large for the outline near {at}: it is narrower there than "
+            "the spacing of the fibre lines"
         )
     return blank

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,26 +42,21 @@ def edge_points(blank: Blank, turn: float = 0.0) -> dict[str, EdgePoint]:
     middle = 0.5 * (flat.min(0) + flat.max(0))
     start, step = flat[rim[:, 0]] - middle, np.diff(flat[rim], axis=1)[:, 0]
     points = {}
-    for axis, name in enumerate("xy"):
-        for mark, sign in (("+", 1.0), ("-", -1.0)):
-            other = 1 - axis
-            with np.errstate(divide="ignore", invalid="ignore"):
-                s = -start[:, other] / step[:, other]
-            crosses = (s >= -1e-9) & (s <= 1 + 1e-9)
-            if not crosses.any():
-                continue
-            along = start[:, axis] + np.where(crosses, s, 0.0) * step[:, axis]
-            reach = np.where(crosses, sign * along, 0.0)
-            at = reach.argmax()
-            if reach[at] <= 0:
-                continue
-            share = float(np.clip(s[at], 0.0, 1.0))
-            outward = np.zeros(2)
-            outward[axis] = sign
-            shares = np.array([1.0 - share, share])
-            points[mark + name] = EdgePoint(
-                rim[at], shares, -R @ outward, shares @ blank.nodes[rim[at]]
-            )
+    for (axis, name), (mark, sign) in itertools.product(enumerate("xy"), (("+", 1.0), ("-", -1.0))):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            s = -start[:, 1 - axis] / step[:, 1 - axis]
+        crosses = (s >= -1e-9) & (s <= 1 + 1e-9)
+        along = start[:, axis] + np.where(crosses, s, 0.0) * step[:, axis]
+        reach = np.where(crosses, sign * along, 0.0)
+        at = reach.argmax()
+        if reach[at] <= 0:
+            continue
+        share = float(np.clip(s[at], 0.0, 1.0))
+        shares = np.array([1.0 - share, share])
+        outward = sign * np.eye(2)[axis]
+        points[mark + name] = EdgePoint(
+            rim[at], shares, -R @ outward, shares @ blank.nodes[rim[at]]
+        )
     return points
 
 

@@ -16,36 +16,28 @@ import numpy as np
 import shapely
 
 from ..checks import InputError, check_file, check_number, naming, optional
-from ..tools.mending import edges_of, together
+from ..tables import read_numbers
+from ..tools.mending import edges_of, position, together
 from ..tools.surface_file import KINDS, read_surface
 from .blank import check_unit
 
 FloatArray = np.ndarray
 CHORD = 0.01  # mm, largest distance of a polygon from the curve it stands for
 GAP = 0.05  # mm, ends of lines nearer than this meet
+CURVES = ("LINE", "LWPOLYLINE", "POLYLINE", "ARC", "CIRCLE", "ELLIPSE", "SPLINE")
 TABLES = (".csv", ".txt", ".xy", ".dat")
 
 
 def rectangle(
     length: float, width: float, centre: tuple[float, float] = (0.0, 0.0)
 ) -> shapely.Polygon:
-    """Rectangle, mm, length along x.
-
-    Raises
-    ------
-    InputError
-    """
+    """Rectangle, mm, length along x. InputError unless the sides are positive."""
     half = 0.5 * check_number("length", length), 0.5 * check_number("width", width)
     return shapely.box(*np.subtract(centre, half), *np.add(centre, half))
 
 
 def disc(radius: float, centre: tuple[float, float] = (0.0, 0.0)) -> shapely.Polygon:
-    """Disc, mm: an inscribed polygon with a corner every degree or less.
-
-    Raises
-    ------
-    InputError
-    """
+    """Disc, mm: a polygon in it, a corner a degree or less. InputError for a bad radius."""
     check_number("radius", radius)
     # radius (1 - cos(π/n)) < CHORD
     n = 360 * int(np.ceil(np.pi / 360 * np.sqrt(radius / (2 * CHORD)) + 1e-9))
@@ -56,10 +48,7 @@ def disc(radius: float, centre: tuple[float, float] = (0.0, 0.0)) -> shapely.Pol
 def polygon(points: Sequence[tuple[float, float]]) -> shapely.Polygon:
     """Polygon through points (n, 2), mm, in either sense, closed or not.
 
-    Raises
-    ------
-    InputError
-        For less than three points, or edges that cross.
+    InputError for less than three points, or edges that cross.
     """
     try:
         points = np.asarray(points, dtype=float)
@@ -71,17 +60,13 @@ def polygon(points: Sequence[tuple[float, float]]) -> shapely.Polygon:
 
 
 def with_holes(outline: shapely.Polygon, holes: Iterable[shapely.Polygon]) -> shapely.Polygon:
-    """Cut holes, which must lie inside without touching, out of an outline.
-
-    Raises
-    ------
-    InputError
-    """
+    """Cut holes out of an outline. InputError unless they lie inside without touching."""
     for k, hole in enumerate(holes, 1):
         if not outline.contains_properly(hole):
+            at = position(hole.centroid.coords[0])
             raise InputError(
-                f"hole {k} near {_place(hole.centroid)} does not lie inside the outline, clear of "
-                "its edge and of other holes"
+                f"hole {k} near {at} does not lie inside the outline, clear of its edge and of "
+                "other holes"
             )
         outline = outline.difference(hole)
     return outline
@@ -120,42 +105,23 @@ def read_outline(path: str | Path, scale: float = 1.0) -> shapely.Polygon:
     kind = path.suffix.lower()
     with naming(path):
         check_number("scale", scale)
-        if kind in (".dxf", *TABLES):
-            check_file(path)
+        if kind not in (known := (".dxf", *KINDS, *TABLES)):
+            raise InputError(
+                f"unknown kind of outline '{kind}': expected one of {', '.join(known)}"
+            )
+        check_file(path)
         if kind == ".dxf":
             outline = _from_lines(_drawn(path, scale), GAP)
-        elif kind in KINDS:
-            outline = _from_lines(_rim(*read_surface(path, scale)), 0.0)
         elif kind in TABLES:
-            outline = _loop(scale * _table(path.read_text(encoding="utf-8-sig")))
+            points = read_numbers(path, most=2)[2]
+            if not np.isfinite(points).all():
+                raise InputError("not all coordinates are finite numbers")
+            outline = _loop(scale * points)
         else:
-            known = ", ".join([".dxf", *KINDS, *TABLES])
-            raise InputError(f"unknown kind of outline '{kind}': expected one of {known}")
+            outline = _from_lines(_rim(*read_surface(path, scale)), 0.0)
         low_x, low_y, high_x, high_y = outline.bounds
         check_unit(max(high_x - low_x, high_y - low_y), scale)
     return outline
-
-
-def _table(text: str) -> FloatArray:
-    """(n, 2) points of a table of two or more columns; the first line may be a heading."""
-    points: list[list[float]] = []
-    first = True
-    for number, line in enumerate(text.splitlines(), 1):
-        line = line.split("#")[0].strip()
-        if not line:
-            continue
-        if ";" in line:  # where the comma is the decimal sign
-            line = line.replace(",", ".")
-        try:
-            x, y = (float(word) for word in re.split(r"[\s,;]+", line)[:2])
-            points.append([x, y])
-        except ValueError:
-            if not first:
-                raise InputError(f"line {number}: expected x, y, got {line!r}") from None
-        first = False
-    if not np.isfinite(points).all():
-        raise InputError("not all coordinates are finite numbers")
-    return np.reshape(points, (-1, 2))
 
 
 def _drawn(path: Path, scale: float) -> list[FloatArray]:
@@ -171,14 +137,11 @@ def _drawn(path: Path, scale: float) -> list[FloatArray]:
         scale *= units.conversion_factor(unit, units.MM) if unit else 1.0
         lines = []
         for entity in blocks.recursive_decompose(drawing.modelspace()):
-            if entity.dxftype() in (
-                *("LINE", "LWPOLYLINE", "POLYLINE"),
-                *("ARC", "CIRCLE", "ELLIPSE", "SPLINE"),
-            ):
+            if entity.dxftype() in CURVES:
                 curve = paths.make_path(entity)
                 points = np.array([p.vec2 for p in curve.flattening(CHORD / scale)], dtype=float)
                 lines.append(scale * points.reshape(-1, 2))
-    except Exception as error:  # whatever the parser meets
+    except Exception as error:  # any that the parser raises
         reason = " ".join(str(error).replace(f"'{path}'", "it").split())
         reason = reason or type(error).__name__
         raise InputError(f"not a readable .dxf file: {reason}") from error
@@ -207,23 +170,22 @@ def _from_lines(lines: list[FloatArray], gap: float) -> shapely.Polygon:
         loose = loose[~shapely.covers(loops[0].buffer(GAP), loose)]
     if len(loose):
         raise InputError(_open_end(loose))
-    outline, holes = loops[0], []
-    for loop in loops[1:]:
-        if not any(
-            loop.symmetric_difference(other).area < GAP * loop.length for other in (outline, *holes)
-        ):  # else drawn twice
+    outline, *others = loops
+    holes: list[shapely.Polygon] = []
+    for loop in others:
+        apart = [loop.symmetric_difference(other).area for other in (outline, *holes)]
+        if min(apart) >= GAP * loop.length:  # else drawn twice
             holes.append(loop)
     for hole in holes:
         if not outline.contains_properly(hole):
+            at = position(hole.centroid.coords[0])
             raise InputError(
-                f"more than one outline: a second loop near {_place(hole.centroid)} does not lie "
-                "inside the largest"
+                f"more than one outline: a second loop near {at} does not lie inside the largest"
             )
     for hole, other in itertools.combinations(holes, 2):
         if hole.intersects(other):
-            raise InputError(
-                f"a loop lies inside or across another hole near {_place(other.centroid)}"
-            )
+            at = position(other.centroid.coords[0])
+            raise InputError(f"a loop lies inside or across another hole near {at}")
     return shapely.orient_polygons(with_holes(outline, holes))
 
 
@@ -250,12 +212,12 @@ def _open_end(lines: np.ndarray) -> str:
     points, times = np.unique(ends, axis=0, return_counts=True)
     free = points[times == 1]
     if len(free) < 2:
-        return f"lines branch at {_place(points[times.argmax()])}: expected closed loops"
+        return f"lines branch at {position(points[times.argmax()])}: expected closed loops"
     distance, nearest = cKDTree(free).query(free, k=2)
     at = distance[:, 1].argmin()
     return (
-        f"no closed loop: gap of {distance[at, 1]:.3g} mm between {_place(free[at])} and "
-        f"{_place(free[nearest[at, 1]])}"
+        f"no closed loop: gap of {distance[at, 1]:.3g} mm between {position(free[at])} and "
+        f"{position(free[nearest[at, 1]])}"
     )
 
 
@@ -264,17 +226,12 @@ def _loop(points: FloatArray) -> shapely.Polygon:
     if len(points) < 3:
         raise InputError(f"an outline needs three points, got {len(points)}")
     loop = shapely.Polygon(points)
-    if not loop.is_valid:
-        reason = shapely.is_valid_reason(loop)
-        place = re.search(r"\[(\S+) (\S+)\]", reason)
-        if place and shapely.convex_hull(loop).area > 1e-9 * loop.length**2:
-            raise InputError(f"the outline crosses itself at {_place(map(float, place.groups()))}")
-        raise InputError("the outline encloses no area")
-    if loop.area <= 1e-9 * loop.length**2:
+    nothing = 1e-9 * loop.length**2
+    place = re.search(r"\[(\S+) (\S+)\]", shapely.is_valid_reason(loop))
+    if place and shapely.convex_hull(loop).area > nothing:
+        raise InputError(
+            f"the outline crosses itself at {position([float(x) for x in place.groups()])}"
+        )
+    if not loop.is_valid or loop.area <= nothing:
         raise InputError("the outline encloses no area")
     return shapely.orient_polygons(loop)
-
-
-def _place(point: shapely.Point | Iterable[float]) -> str:
-    x, y = (point.x, point.y) if isinstance(point, shapely.Point) else point
-    return f"({round(x, 6) + 0.0:.4g}, {round(y, 6) + 0.0:.4g})"

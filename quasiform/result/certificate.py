@@ -14,6 +14,7 @@ BALANCE = 1e-2  # of the work done
 PENETRATION = 0.03  # of the thickness
 WIDE = 0.2  # of a value: a mesh error beyond this limits the trust in it
 SHARE = 0.005  # of the area: less is not reported
+WRINKLED = "wrinkled, one of many states: perturbed starts show what is robust"
 ROBUST = {"robust": True}  # a quantity without perturbed runs
 LIMITED = {
     "beyond_identified_range": "sheared beyond {range:g}°, the tested range of the law",
@@ -53,7 +54,7 @@ class Certificate:
         return self.certified
 
     def __str__(self) -> str:
-        return "certified" if self.certified else f"not certified: {'; '.join(self.reasons)}"
+        return "; ".join(self.reasons) or "certified"
 
 
 def certify(result: Outcome) -> Certificate:
@@ -78,40 +79,26 @@ def certify(result: Outcome) -> Certificate:
     scattered = [
         name for name in result.quantities if not result.spread.get(name, ROBUST)["robust"]
     ]
-    unknown = not result.spread and result.wrinkled
     collapse = f"{result.collapse['travel_mm']:.4g}" if result.collapse else ""
-    checks = [  # whether it is met, whether it belongs to convergence, what is said if not
-        (not result.reason, False, "stopped early"),
-        (result.residual < RESIDUAL, True, f"residual {result.residual:.1e} of the driving force"),
-        (pivots is not None, True, "no pivots from the linear solver"),
-        (not pivots, True, f"{pivots} negative pivots of the tangent"),
-        (
-            depth <= allowed,
-            False,
-            f"penetration {depth:.4f} mm at a node, {allowed:.4f} allowed",
-        ),
-        (
-            not result.energy_balance > BALANCE,
-            True,
-            f"energy balance open by {100 * result.energy_balance:.1f} %, {100 * BALANCE:g} % "
-            "allowed",
-        ),
-        (not collapse, False, f"collapsed from {collapse} mm on"),
-        (
-            not (given and model.frictions and given > own * (1 + 1e-6)),
-            False,
-            f"friction follows its path in increments of {own:g} mm, not {given or 0:g}",
-        ),
-        (not scattered, False, f"perturbed starts scatter in {', '.join(scattered)}"),
-        (
-            not unknown,
-            False,
-            "wrinkled, one of many states: perturbed starts show what is robust",
-        ),
-    ]
-    reasons = tuple(words for met, _, words in checks if not met)
-    converged = all(met for met, needed, _ in checks if needed)
-    return Certificate(converged, not reasons, reasons, figures)
+    open_balance = f"energy balance open by {100 * result.energy_balance:.1f} %"
+    steps = f"friction follows its path in increments of {own:g} mm, not {given or 0:g}"
+    too_long = given and model.frictions and given > own * (1 + 1e-6)
+    unsolved = {  # what is said: whether it is so
+        f"residual {result.residual:.1e} of the driving force": not result.residual < RESIDUAL,
+        "no pivots from the linear solver": pivots is None,
+        f"{pivots} negative pivots of the tangent": bool(pivots),
+        f"{open_balance}, {100 * BALANCE:g} % allowed": result.energy_balance > BALANCE,
+    }
+    doubtful = {
+        f"penetration {depth:.4f} mm at a node, {allowed:.4f} allowed": depth > allowed,
+        f"collapsed from {collapse} mm on": bool(collapse),
+        steps: too_long,
+        f"perturbed starts scatter in {', '.join(scattered)}": bool(scattered),
+        WRINKLED: not result.spread and result.wrinkled,
+    }
+    checks = {"stopped early": bool(result.reason)} | unsolved | doubtful
+    reasons = tuple(words for words, so in checks.items() if so)
+    return Certificate(not any(unsolved.values()), not reasons, reasons, figures)
 
 
 def one_of_many(result: Outcome) -> str:

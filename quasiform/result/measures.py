@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 
 from ..energy.bending import Bending
-from ..energy.contact import Contact
+from ..energy.contact import LEVER, Contact, moment
 from ..energy.membrane import Membrane
 from ..energy.term import Term
 from ..net.blank import Blank
@@ -171,3 +172,42 @@ def chord_penetration(
         y = contact.in_tool_frame(x, middles - contact.origin(x))
         deepest = max(deepest, 0.5 * thickness - float(contact.distance(y)[0].min()))
     return deepest
+
+
+def resting_tools(
+    model: Any, x: FloatArray, start: FloatArray
+) -> dict[str, dict[str, float | list[float]]]:
+    """Lift (mm) and tilt (degrees) of each free tool, or the moment its guide takes (N mm).
+
+    Parameters
+    ----------
+    model : Scene
+    x, start : (n_dofs,) arrays
+        Positions and rigid degrees of freedom now and at the start, mm.
+    """
+    found: dict[str, dict[str, Any]] = {}
+    for contact in model.contacts:
+        tool, dofs = contact.tool, contact.tool_dofs
+        if tool.motion != "free":
+            continue
+        entry = found.setdefault(tool.name, {"lift_mm": float(x[dofs[0]] - start[dofs[0]])})
+        if tool.tilts:
+            entry["tilt_deg"] = np.degrees(model.sheet.to_user(x[dofs[1:]]) / LEVER).tolist()
+            continue
+        turning = moment(contact, x) / model.share
+        for axis, plane in enumerate("xy"):
+            if plane in model.sheet.blank.mirror:
+                turning[1 - axis] = 0.0
+        turning = model.sheet.to_user(turning) + entry.get("held_moment_Nmm", np.zeros(2))
+        entry["held_moment_Nmm"] = turning.tolist()
+    return found
+
+
+def interpolated(nodes: FloatArray, values: FloatArray, points: FloatArray) -> FloatArray:
+    """Values at (k, 2) points from those at (n, 2) nodes: linear, beyond them the nearest."""
+    from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
+
+    found = LinearNDInterpolator(nodes, values)(points)
+    outside = np.isnan(found)
+    found[outside] = NearestNDInterpolator(nodes, values)(points[outside])
+    return found

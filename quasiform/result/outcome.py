@@ -7,8 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from ..energy.contact import LEVER
-from ..energy.contact import moment as moment_on
 from ..model import COLLAPSE, Model
 from ..net.blank import Blank
 from ..net.edges import disc
@@ -92,11 +90,8 @@ class Outcome:
             f"only the end is solved at {self.model.size:g} mm; the forces along the travel come "
             "from there (--size keeps one mesh)"
         )
-        return [
-            *self.model.description,
-            *self.notes,
-            (f"path on a mesh of {self.path.model.size:g} mm", why),
-        ]
+        followed = (f"path on a mesh of {self.path.model.size:g} mm", why)
+        return [*self.model.description, *self.notes, followed]
 
     @property
     def followed(self) -> list[tuple[Outcome, int]]:
@@ -120,12 +115,6 @@ class Outcome:
         if self.path is not None:
             columns["size_mm"] = [*[self.path.model.size] * (len(rows) - 1), self.model.size]
         return {name: np.array(values) for name, values in columns.items()}
-
-    @property
-    def gripped(self) -> np.ndarray:
-        """(n_nodes,) bool array: nodes of the whole sheet that are held in all directions."""
-        model = self.model
-        return model.fixed[model.sheet.dofs].all(1)[model.sheet.whole[1]]
 
     def positions(self, state: int = -1) -> FloatArray:
         """(n_nodes, 3) positions of the whole sheet, mm."""
@@ -157,11 +146,6 @@ class Outcome:
     def sheet(self) -> FormedSheet:
         """Formed sheet at the end."""
         return self.sheet_at()
-
-    @property
-    def sheets(self) -> dict[str, FormedSheet]:
-        """Formed sheets at the end by name."""
-        return {sheet.name: sheet for sheet in (self.sheet,)}
 
     def cell_fields(self, state: int = -1) -> dict[str, FloatArray]:
         """Fields by triangle: shear_angle (degrees), warp, weft (unit vectors), E11, E22, S12."""
@@ -247,23 +231,7 @@ class Outcome:
 
     def resting_tools(self) -> dict[str, dict[str, float | list[float]]]:
         """Lift (mm) and tilt (degrees) of each free tool, or the moment its guide takes (N mm)."""
-        model, x, found = self.model, self.states[-1].x, {}
-        for contact in model.contacts:
-            tool, dofs = contact.tool, contact.tool_dofs
-            if tool.motion != "free":
-                continue
-            lift = float(x[dofs[0]] - self.states[0].x[dofs[0]])
-            entry = found.setdefault(tool.name, {"lift_mm": lift})
-            if tool.tilts:
-                entry["tilt_deg"] = np.degrees(model.sheet.to_user(x[dofs[1:]]) / LEVER).tolist()
-                continue
-            moment = moment_on(contact, x) / model.share
-            for axis, plane in enumerate("xy"):
-                if plane in model.sheet.blank.mirror:
-                    moment[1 - axis] = 0.0
-            moment = model.sheet.to_user(moment) + entry.get("held_moment_Nmm", np.zeros(2))
-            entry["held_moment_Nmm"] = moment.tolist()
-        return found
+        return measures.resting_tools(self.model, self.states[-1].x, self.states[0].x)
 
     @property
     def max_penetration(self) -> float:
@@ -313,10 +281,4 @@ class Outcome:
 
     def shear_angle_at(self, points: FloatArray) -> FloatArray:
         """(n,) shear angle at (n, 2) points of the flat sheet, degrees; beyond it, the nearest."""
-        from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
-
-        values, nodes = self.nodal_shear_angle, self.blank.nodes
-        found = LinearNDInterpolator(nodes, values)(points)
-        outside = np.isnan(found)
-        found[outside] = NearestNDInterpolator(nodes, values)(points[outside])
-        return found
+        return measures.interpolated(self.blank.nodes, self.nodal_shear_angle, points)

@@ -6,11 +6,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from .certificate import Certificate, certify, one_of_many
 from .estimate import judged
 from .files import replaced
 from .outcome import Outcome, State
 from .record import Record, Sheets
+from .sheet import FormedSheet
 from .summary import summarise
 
 __all__ = ["Result", "State"]
@@ -115,6 +118,17 @@ class Result(Outcome):
     def summary(self) -> dict[str, Any]:
         """Contents of `summary.json`."""
         return summarise(self, self.certified)
+
+    @property
+    def sheets(self) -> dict[str, FormedSheet]:
+        """Formed sheets at the end by name."""
+        return {sheet.name: sheet for sheet in (self.sheet,)}
+
+    @property
+    def gripped(self) -> np.ndarray:
+        """(n_nodes,) bool array: nodes of the whole sheet that are held in all directions."""
+        sheet = self.model.sheet
+        return self.model.fixed[sheet.dofs].all(1)[sheet.whole[1]]
 
     @property
     def record(self) -> Record:

@@ -75,22 +75,19 @@ class FormedSheet:
 
     def __repr__(self) -> str:
         at = "" if self.travel is None else f" at {self.travel:.4g} mm"
-        return (
-            f"<FormedSheet {self.name}{at}: {len(self.places)} points, "
-            f"{len(self.triangles)} triangles>"
-        )
+        return f"<FormedSheet {self.name}{at}: {len(self.triangles)} triangles>"
 
     @property
     def places(self) -> FloatArray:
         """(n, 3) formed positions, or the flat ones at z = 0 where only these are known, mm."""
-        if self.points is not None:
-            return self.points
-        return np.empty((0, 3)) if self.flat is None else _in_space(self.flat)
+        return self.rest if self.points is None else self.points
 
     @property
     def rest(self) -> FloatArray:
         """(n, 3) flat positions at z = 0, or the formed ones where only these are known, mm."""
-        return self.places if self.flat is None else _in_space(self.flat)
+        if self.flat is None:
+            return np.empty((0, 3)) if self.points is None else self.points
+        return np.pad(self.flat, ((0, 0), (0, 1)))
 
     @cached_property
     def F(self) -> FloatArray:
@@ -103,11 +100,7 @@ class FormedSheet:
         """
         if self.points is None or self.flat is None:
             raise InputError(f"{self.name}: needs flat and formed positions")
-        legs = _legs(self.points, self.triangles)
-        a, b = _legs(self.flat, self.triangles).transpose(1, 2, 0)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            inverse = np.array([[b[1], -b[0]], [-a[1], a[0]]]) / (a[0] * b[1] - a[1] * b[0])
-        return np.einsum("mki,kjm->mij", legs, inverse)
+        return _deformation(self.points, self.flat, self.triangles)
 
     @cached_property
     def areas(self) -> FloatArray:
@@ -171,38 +164,14 @@ class FormedSheet:
 
         Seen from the side from which the triangles run counter-clockwise, the sheet is on the left.
         """
-        edges = np.stack([self.triangles, np.roll(self.triangles, -1, 1)], axis=2).reshape(-1, 2)
-        _, first, count = np.unique(
-            np.sort(edges, axis=1), axis=0, return_index=True, return_counts=True
-        )
-        beside: dict[int, list[int]] = {}
-        rim = edges[np.sort(first[count == 1])].tolist()
-        for start, end in rim:
-            beside.setdefault(start, []).append(end)
-            beside.setdefault(end, []).append(start)
-        loops = []
-        for start, end in rim:
-            if end not in beside[start]:
-                continue
-            loop = [start]
-            while len(loop) == 1 or loop[-1] != start:
-                here = loop[-1]
-                there = end if len(loop) == 1 else beside[here][0]
-                beside[here].remove(there)
-                beside[there].remove(here)
-                loop.append(there)
-            loops.append(np.array(loop))
-        ends = [self.rest[loop[:-1], :2] for loop in loops]
-        areas = [float(x @ (np.roll(y, -1) - np.roll(y, 1))) for x, y in (p.T for p in ends)]
-        sense = np.sign(max(areas, key=abs, default=1.0))
-        return [loops[k] for k in np.argsort(-sense * np.array(areas), kind="stable")]
+        return _loops(self.triangles, self.rest[:, :2])
 
     @property
     def outline(self) -> list[FloatArray]:
         """Closed outline of the formed sheet, then those of its holes; (k, 3) points each, mm."""
         return [self.places[loop] for loop in self.loops]
 
-    @cached_property
+    @property
     def weights(self) -> FloatArray:
         """(n,) area that a point stands for, mm², of the flat sheet if known; 1 without a mesh."""
         if not len(self.triangles):
@@ -264,61 +233,15 @@ class FormedSheet:
         InputError
             Without triangles, or with points that are missing or not finite.
         """
-        if not len(triangles):
-            raise InputError("no triangles or quadrilaterals")
-        if triangles.min() < 0 or triangles.max() >= len(points):
-            raise InputError("a triangle refers to a point that is not there")
-        used, triangles = np.unique(triangles, return_inverse=True)
-        if not np.isfinite(points[used]).all():
-            raise InputError("not all points are finite numbers")
-        left_out, unused = dict(left_out or {}), len(points) - len(used)
-        if unused:
-            left_out["nodes without a triangle"] = unused
-        kept = {name: np.asarray(values)[used] for name, values in point_fields.items()}
-        return cls(
-            points[used],
-            triangles.reshape(-1, 3),
-            point_fields=kept,
-            cell_fields=dict(cell_fields),
-            left_out=left_out,
-            **more,
-        )
+        used, triangles, left_out = _used(points, triangles, left_out or {})
+        by_point = {name: np.asarray(values)[used] for name, values in point_fields.items()}
+        fields = {"point_fields": by_point, "cell_fields": dict(cell_fields)}
+        return cls(points[used], triangles, left_out=left_out, **fields, **more)
 
     @classmethod
     def from_meshio(cls, mesh: meshio.Mesh, travel: float | None = None) -> FormedSheet:
-        """Make it of the surface cells of a mesh of meshio.
-
-        Raises
-        ------
-        InputError
-            As `of_surface`.
-        """
-        triangles, chosen, left_out = [np.empty((0, 3), dtype=int)], [], {}
-        for block in mesh.cells:
-            splits = SPLIT.get(CORNERS.get(block.type, 0), [])
-            triangles += [block.data[:, split] for split in splits]
-            chosen.append(np.tile(np.arange(len(block.data)), len(splits)).astype(int))
-            if not splits and len(block.data):
-                left_out[block.type] = left_out.get(block.type, 0) + len(block.data)
-        points = np.asarray(mesh.points, dtype=float)
-        return cls.of_surface(
-            np.pad(points, ((0, 0), (0, 3 - points.shape[1]))),
-            np.concatenate(triangles),
-            mesh.point_data,
-            {
-                name: np.concatenate(
-                    [np.asarray(v)[rows] for v, rows in zip(blocks, chosen, strict=True)]
-                )
-                for name, blocks in mesh.cell_data.items()
-            },
-            left_out,
-            travel=travel,
-            loose={
-                name: float(np.ravel(value)[-1])
-                for name, value in mesh.field_data.items()
-                if np.issubdtype(np.asarray(value).dtype, np.number) and np.size(value)
-            },
-        )
+        """Make it of the surface cells of a mesh of meshio; it refuses what `of_surface` does."""
+        return _from_meshio(mesh, travel)
 
     def to_meshio(self) -> meshio.Mesh:
         """Mesh of meshio with all fields; `displacement` leads back to the flat sheet."""
@@ -401,6 +324,52 @@ def readable(path: Path, read: Callable[[], Any]) -> Any:
         raise InputError(f"{path}: not a readable {kind} file: {reason}") from error
 
 
+def _used(
+    points: FloatArray, triangles: np.ndarray, left_out: Mapping[str, int]
+) -> tuple[np.ndarray, np.ndarray, dict[str, int]]:
+    """Points that belong to triangles, the triangles in their numbers, and what is left out."""
+    if not len(triangles):
+        raise InputError("no triangles or quadrilaterals")
+    if triangles.min() < 0 or triangles.max() >= len(points):
+        raise InputError("a triangle refers to a point that is not there")
+    used, triangles = np.unique(triangles, return_inverse=True)
+    if not np.isfinite(points[used]).all():
+        raise InputError("not all points are finite numbers")
+    unused = len(points) - len(used)
+    more = {"nodes without a triangle": unused} if unused else {}
+    return used, triangles.reshape(-1, 3), {**left_out, **more}
+
+
+def _from_meshio(mesh: meshio.Mesh, travel: float | None) -> FormedSheet:
+    """Surface cells of a mesh, quadrilaterals split, with their fields."""
+    triangles, chosen, left_out = [np.empty((0, 3), dtype=int)], [], {}
+    for block in mesh.cells:
+        splits = SPLIT.get(CORNERS.get(block.type, 0), [])
+        triangles += [block.data[:, split] for split in splits]
+        chosen.append(np.tile(np.arange(len(block.data)), len(splits)).astype(int))
+        if not splits and len(block.data):
+            left_out[block.type] = left_out.get(block.type, 0) + len(block.data)
+    points = np.asarray(mesh.points, dtype=float)
+    return FormedSheet.of_surface(
+        np.pad(points, ((0, 0), (0, 3 - points.shape[1]))),
+        np.concatenate(triangles),
+        mesh.point_data,
+        {
+            name: np.concatenate(
+                [np.asarray(v)[rows] for v, rows in zip(blocks, chosen, strict=True)]
+            )
+            for name, blocks in mesh.cell_data.items()
+        },
+        left_out,
+        travel=travel,
+        loose={
+            name: float(np.ravel(value)[-1])
+            for name, value in mesh.field_data.items()
+            if np.issubdtype(np.asarray(value).dtype, np.number) and np.size(value)
+        },
+    )
+
+
 def _meshes(path: Path) -> Iterator[tuple[meshio.Mesh, float | None]]:
     """Meshes of a file with their times."""
     import meshio
@@ -417,6 +386,44 @@ def _meshes(path: Path) -> Iterator[tuple[meshio.Mesh, float | None]]:
         yield module.read(path), None
 
 
+def _deformation(points: FloatArray, flat: FloatArray, triangles: np.ndarray) -> FloatArray:
+    """(m, 3, 2) F = dx dX⁻¹ of the legs of each triangle."""
+    legs = _legs(points, triangles)
+    a, b = _legs(flat, triangles).transpose(1, 2, 0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        inverse = np.array([[b[1], -b[0]], [-a[1], a[0]]]) / (a[0] * b[1] - a[1] * b[0])
+    return np.einsum("mki,kjm->mij", legs, inverse)
+
+
+def _loops(triangles: np.ndarray, flat: FloatArray) -> list[np.ndarray]:
+    """Closed lists of nodes around (n, 2) places: the outer one first, then the holes."""
+    edges = np.stack([triangles, np.roll(triangles, -1, 1)], axis=2).reshape(-1, 2)
+    _, first, count = np.unique(
+        np.sort(edges, axis=1), axis=0, return_index=True, return_counts=True
+    )
+    beside: dict[int, list[int]] = {}
+    rim = edges[np.sort(first[count == 1])].tolist()
+    for start, end in rim:
+        beside.setdefault(start, []).append(end)
+        beside.setdefault(end, []).append(start)
+    loops = []
+    for start, end in rim:
+        if end not in beside[start]:
+            continue
+        loop = [start]
+        while len(loop) == 1 or loop[-1] != start:
+            here = loop[-1]
+            there = end if len(loop) == 1 else beside[here][0]
+            beside[here].remove(there)
+            beside[there].remove(here)
+            loop.append(there)
+        loops.append(np.array(loop))
+    ends = [flat[loop[:-1]] for loop in loops]
+    areas = [float(x @ (np.roll(y, -1) - np.roll(y, 1))) for x, y in (p.T for p in ends)]
+    sense = np.sign(max(areas, key=abs, default=1.0))
+    return [loops[k] for k in np.argsort(-sense * np.array(areas), kind="stable")]
+
+
 def _areas(points: FloatArray, triangles: np.ndarray) -> FloatArray:
     """(m,) areas of triangles between (n, 3) points, mm²."""
     a, b = _legs(points, triangles).transpose(1, 0, 2)
@@ -426,8 +433,3 @@ def _areas(points: FloatArray, triangles: np.ndarray) -> FloatArray:
 def _legs(points: FloatArray, triangles: np.ndarray) -> FloatArray:
     """(m, 2, dim) vectors from the first corner of each triangle to the others."""
     return points[triangles[:, 1:]] - points[triangles[:, :1]]
-
-
-def _in_space(flat: FloatArray) -> FloatArray:
-    """(n, 3) points of a plane at z = 0."""
-    return np.pad(flat, ((0, 0), (0, 1)))

@@ -72,16 +72,19 @@ def summarise(result: Outcome, certificate: Certificate) -> dict[str, Any]:
             reason: float(areas @ flag / areas.sum()) for reason, flag in sheet.doubts().items()
         },
     }
-    if model.contacts:
-        summary |= {
-            "max_penetration_mm": result.max_penetration,
-            "chord_penetration_mm": result.chord_penetration,
-            "draw_in_mm": result.draw_in,
-            "areas": result.areas,
-            "resting_tools": result.resting_tools(),
-            "wrinkles": result.wrinkles,
-        }
-    return _finite(summary)
+    return _finite(summary | (_forming(result) if model.contacts else {}))
+
+
+def _forming(result: Outcome) -> dict[str, Any]:
+    """What is read off a sheet between tools."""
+    return {
+        "max_penetration_mm": result.max_penetration,
+        "chord_penetration_mm": result.chord_penetration,
+        "draw_in_mm": result.draw_in,
+        "areas": result.areas,
+        "resting_tools": result.resting_tools(),
+        "wrinkles": result.wrinkles,
+    }
 
 
 def _finite(content: Any) -> Any:

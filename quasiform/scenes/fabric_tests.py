@@ -19,7 +19,7 @@ from ..energy.weight import SheetWeight
 from ..fabric import Fabric, fabric_of
 from ..model import Model
 from ..net.blank import Blank, rectangle
-from ..net.free_mesh import PAIRED, own_mesh, triangulate
+from ..net.free_mesh import PAIRED, check_same_size, own_mesh, triangulate
 from ..recipe import built
 from ..unknowns import Unknowns
 
@@ -109,6 +109,7 @@ def strip_under_tension(
         sides = np.array([-length, -width, length, width]) / 2
         blank = triangulate(shapely.box(*sides), spacing, -angle)
     else:
+        check_same_size(size, like and like.size)
         blank = own_mesh(mesh, -angle)
     sheet = (unknowns := Unknowns()).sheet(blank, fabric, 2)
     left = blank.nodes[:, 0] < -length / 2 + 1e-6 * size

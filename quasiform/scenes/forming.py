@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, replace
 from numbers import Real
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import shapely
@@ -29,7 +30,7 @@ from ..net import free_mesh
 from ..net.blank import Blank, cut, rotation
 from ..net.edges import edge_points
 from ..net.free_mesh import PAIRED
-from ..recipe import built
+from ..recipe import built, plain, reference
 from ..tools import tool_file
 from ..tools.shapes import Tool, turned
 from ..unknowns import Unknowns
@@ -123,6 +124,7 @@ def formed_between_tools(
     description: Description = [("bending of warp and weft lines", "the sheet leaves its plane")]
     own = None
     if isinstance(file.mesh, Path):
+        free_mesh.check_same_size(size, like and like.size)
         own = free_mesh.own_mesh(file.mesh, orientation, file.mesh_scale)
     outline = free_mesh.outline_of(own) if own else file.outline
     if not own:
@@ -168,6 +170,12 @@ def formed_between_tools(
     _assemble(model, file, [_in_frame(tool, frame, blank) for tool in tools], outline)
     _measure(model)
     return model
+
+
+@plain.register
+def _(file: SceneFile) -> dict[str, Any]:
+    content = {"toml": scene_file.scene_toml(file), "source": file.source}
+    return {"read": reference(scene_file.read_text), "from": content}
 
 
 # The parts

@@ -15,6 +15,7 @@ import numpy as np
 from pydantic import (
     AfterValidator,
     Discriminator,
+    Field,
     StrictBool,
     StrictStr,
     Tag,
@@ -36,7 +37,7 @@ from ..schema import (
     vector,
 )
 from ..tools.shapes import FAR
-from . import scene_file as plain
+from . import scene_parts as plain
 
 MOST_ROWS = 10_000
 NUMBERS = {  # unit and meaning of every key with a number
@@ -109,7 +110,14 @@ KEYS = {  # type and default of the keys of a shape; all others are lengths that
     "scale": (_number("scale"), 1.0),
     "azimuth": (_number("azimuth", signed=True), 0.0),
 }
-FLAG = StrictBool
+
+
+def _flag(text: str) -> Any:
+    return Annotated[StrictBool, Field(description=text)]
+
+
+def _word(text: str, *words: str) -> Any:
+    return Annotated[Literal[words], Field(description=text)]
 
 
 def _union(
@@ -184,20 +192,20 @@ def _blank(table: _Blank | _OwnMesh) -> dict[str, Any]:
 
 
 class _Tool(Table):
-    role: Literal["punch", "die", "holder"] = OPEN
-    motion: Literal["driven", "fixed", "free"] = OPEN
+    role: _word("Its name if left out", "punch", "die", "holder") = OPEN
+    motion: _word("That of its role if left out", "driven", "fixed", "free") = OPEN
     friction: _number("friction", zero=True) = OPEN
     mass: _number("mass", zero=True) = 0.0
     force: _number("force", zero=True) = 0.0
     z: _number("z", signed=True) = OPEN
     place: PLACE = (0.0, 0.0)
-    tilt: FLAG = OPEN
+    tilt: _flag("Whether a free tool may tilt") = OPEN
 
 
 class _FromFile(_Tool):
     file: path("The tool's surface")
     scale: _number("scale") = 1.0
-    flip: FLAG = False
+    flip: _flag("Whether the inside of the surface is out") = False
     rotate: vector("Turn about x, y and z, degrees", 3, TURN) = (0.0, 0.0, 0.0)
     origin: vector("Point of the file that comes to the middle, mm", 3, ORIGIN) = (0.0, 0.0, 0.0)
     spacing: _number("spacing") = OPEN
@@ -221,19 +229,22 @@ def _part(table: _Tool) -> plain.ToolPart:
     return part
 
 
-# Edges that are held or pulled
+# Edges that are fixed or pulled
 
 
 class _Place(Table):
-    side: Literal["+x", "-x", "+y", "-y"] = OPEN
+    side: _word("Side of the blank", "+x", "-x", "+y", "-y") = OPEN
     box: vector("x0, y0, x1, y1, mm", 4) = OPEN
     centre: POINT = OPEN
     radius: _number("radius") = OPEN
 
 
+LETTERS = {"type": "string", "pattern": "^[xyz]+$", "description": "Directions that are fixed"}
+
+
 class _Support(_Place):
-    fix: Any = OPEN
-    clamp: FLAG = False
+    fix: Annotated[Any, Field(json_schema_extra=LETTERS)] = OPEN
+    clamp: _flag("Whether the direction of the fibres is kept too") = False
 
 
 class _Gripper(_Place):
@@ -292,8 +303,8 @@ class _Increments(Table):
 
 
 class _Outputs(Table):
-    pictures: FLAG = True
-    increments: FLAG = True
+    pictures: _flag("Whether pictures are drawn") = True
+    increments: _flag("Whether each row has its .vtu file") = True
 
 
 _OWN_MESH = Annotated[_OwnMesh, Tag("own mesh")]
@@ -310,8 +321,8 @@ class Scene(Table):
     name: StrictStr = OPEN
     travel: _number("travel")
     law: checked(_law, type="string", description="Preset, or path of a material file") = "locking"
-    gravity: FLAG = False
-    symmetry: Literal["auto", "none"] = "auto"
+    gravity: _flag("Whether the sheet's own weight acts") = False
+    symmetry: _word("Whether mirror planes are used", "auto", "none") = "auto"
     blank: _union(_Blank, plain.REGION, LARGEST, _blank, _OWN_MESH)
     tools: dict[str, _union(_Tool, plain.SHAPES, FAR_OFF, _part, _FROM_FILE)]
     supports: list[Annotated[_Support, AfterValidator(_support)]] = []  # noqa: RUF012

@@ -13,6 +13,7 @@ differently on a finer mesh, the path is followed there too, and the result says
 from __future__ import annotations
 
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -115,7 +116,8 @@ def _refined(
     while not levels[-1].reason:
         size = levels[-1].model.size / 2
         if not waiting and size >= model.size / FINEST and _worth_refining(levels, accuracy):
-            waiting = [model.recipe.build(size, like=model)]
+            with suppress(InputError):  # the user's own mesh has one size only
+                waiting = [model.recipe.build(size, like=model)]
         if not waiting:
             break
         finer = waiting.pop(0)

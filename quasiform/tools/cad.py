@@ -15,7 +15,7 @@ SEWN = 1e-3  # mm; gaps between the faces of an IGES file
 
 
 def mesh(path: str, kind: str, out: str) -> None:
-    """Mesh the faces of a shape, finer where they are curved; gmsh raises what it likes."""
+    """Mesh the faces of a shape, finer where they are curved; gmsh may raise any exception."""
     gmsh.initialize(readConfigFiles=False, interruptible=False)
     gmsh.option.setNumber("General.Terminal", 0)
     if kind == "step":  # the others are in mm anyway; gmsh refuses the option as long as it has

@@ -22,7 +22,7 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -68,15 +68,12 @@ class SurfaceGrid:
         h, mm.
     coefficients : (nx, ny, nz) array
         Of the B-spline; the first belongs to low - PAD h.
-    deviation : float
-        Largest |d| at the centres of the surface's triangles, mm.
     """
 
     low: FloatArray
     high: FloatArray
     spacing: float
     coefficients: FloatArray = field(repr=False)
-    deviation: float = 0.0
 
     @property
     def box(self) -> FloatArray:
@@ -178,7 +175,7 @@ def surface_grid(
     low = np.maximum(low, vertices.min(0) - margin)
     high = np.minimum(high, vertices.max(0) + margin)
     if (low >= high).any():
-        box = " to ".join(position(end) for end in (vertices.min(0), vertices.max(0)))
+        box = " to ".join(f"{position(end)} mm" for end in (vertices.min(0), vertices.max(0)))
         raise InputError(
             f"the tool is nowhere near the sheet, it spans {box}: check origin, rotate and scale"
         )
@@ -187,7 +184,8 @@ def surface_grid(
         at_least = h * (nodes / MOST_NODES) ** (1 / 3)
         raise InputError(f"grid of {nodes:.1e} nodes: set spacing = {at_least:.2g} or more")
     grid = SurfaceGrid(low, high, h, _coefficients(vertices, triangles, low - PAD * h, h, cells))
-    return replace(grid, deviation=_deviation(grid, vertices, triangles))
+    _check_shown(grid, vertices, triangles)
+    return grid
 
 
 def _coefficients(
@@ -211,23 +209,20 @@ def _coefficients(
     return spline_filter(d, mode="mirror")
 
 
-def _deviation(grid: SurfaceGrid, vertices: FloatArray, triangles: np.ndarray) -> float:
-    """Largest |d| at the triangles' centres; n must point along the normals of nearly all."""
+def _check_shown(grid: SurfaceGrid, vertices: FloatArray, triangles: np.ndarray) -> None:
+    """Refuse a grid whose n does not point along the normals of nearly all triangles in it."""
     corners = vertices[triangles]
     centres, normals = corners.mean(1), normals_of(corners)
     covered = ((centres > grid.low) & (centres < grid.high)).all(1)
-    if not covered.any():
-        return 0.0
     centres, normals = centres[covered], normals[covered]
-    d, n, _ = grid.distance(centres)
+    _, n, _ = grid.distance(centres)
     area = np.linalg.norm(normals, axis=1)
     lost = np.where(np.einsum("pi,pi->p", n, normals) < LOST * area, area, 0.0)
     if lost.sum() > 0.01 * area.sum():
         raise InputError(
             f"walls, gaps or bodies in each other that a grid of {grid.spacing:g} mm cannot show, "
-            f"for one at {position(centres[lost.argmax()])}: set a smaller spacing"
+            f"for one at {position(centres[lost.argmax()])} mm: set a smaller spacing"
         )
-    return float(np.abs(d).max())
 
 
 def _signed_distance(
@@ -296,16 +291,17 @@ def check_surface(
         if low is None or high is None or ((along > low) & (along < high)).all(-1).any():
             raise InputError(
                 f"a hole of {len(loop)} edges, {np.ptp(start, axis=0).max():.3g} mm across, around "
-                f"{position(start.mean(0))}: close it ({REMEDY})"
+                f"{position(start.mean(0))} mm: close it ({REMEDY})"
             )
 
 
 def check_size(size: float, reach: float, scale: float = 1.0) -> None:
     """Refuse a tool of a size (mm) that only a wrong unit explains, beside a blank of `reach`."""
     if not reach / 50 <= size <= reach * 50:
+        unit = likely_unit(size / scale, reach)
         raise InputError(
-            f"the tool is {size:.3g} mm across (scale = {scale:g}) beside a sheet of "
-            f"{reach:.3g} mm: {likely_unit(size / scale, reach)}"
+            f"the tool is {size:.3g} mm across (scale = {scale:g}) beside a sheet of {reach:.3g} "
+            f"mm: {unit}"
         )
 
 
@@ -323,4 +319,4 @@ def likely_unit(size: float, reach: float) -> str:
 def _refuse(vertices: FloatArray, edges: np.ndarray, what: str) -> None:
     if n := len(edges):
         at = position(vertices[edges[0]].mean(0))
-        raise InputError(f"{n} edge{'s' * (n > 1)} {what}, one at {at}: {REMEDY}")
+        raise InputError(f"{n} edge{'s' * (n > 1)} {what}, one at {at} mm: {REMEDY}")

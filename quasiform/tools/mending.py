@@ -26,11 +26,7 @@ ROUNDS = 10  # of turning edges, for slivers side by side
 def merged(vertices: FloatArray, triangles: np.ndarray) -> tuple[FloatArray, np.ndarray, list[str]]:
     """Merge vertices nearer than `MERGED`, drop triangles that lose a side and unused vertices.
 
-    Returns
-    -------
-    vertices, triangles
-    repairs : list of str
-        What was done, but the merging of equal vertices.
+    Returns the vertices, the triangles and what was done beside the merging of equal vertices.
 
     Raises
     ------
@@ -39,15 +35,14 @@ def merged(vertices: FloatArray, triangles: np.ndarray) -> tuple[FloatArray, np.
     """
     check_numbers(vertices, triangles)
     vertices, index = np.unique(vertices, axis=0, return_inverse=True)
-    triangles, n = index.reshape(-1)[triangles], len(vertices)
     middle, same, apart = together(vertices, MERGED * np.linalg.norm(np.ptp(vertices, axis=0)))
-    triangles = same[triangles]
+    triangles = same[index.reshape(-1)[triangles]]
     whole = (triangles != np.roll(triangles, 1, axis=1)).all(1)
     if not whole.any():
         raise InputError("no triangle has an area")
     repairs = []
-    if len(middle) < n:
-        count = _count(n - len(middle), "vertex", "vertices")
+    if one := len(vertices) - len(middle):
+        count = _count(one, "vertex", "vertices")
         repairs.append(f"{count} up to {apart:.1g} mm from another merged with it")
     if not whole.all():
         repairs.append(f"{_count((~whole).sum(), 'triangle')} without area removed")
@@ -58,13 +53,8 @@ def merged(vertices: FloatArray, triangles: np.ndarray) -> tuple[FloatArray, np.
 def together(points: FloatArray, distance: float) -> tuple[FloatArray, np.ndarray, float]:
     """Bring points (n, d) nearer than a distance together.
 
-    Returns
-    -------
-    middle : (m, d) array
-        Of the points of each group.
-    group : (n,) int array
-    apart : float
-        Largest distance of a pair brought together.
+    Returns the middles (m, d) of the groups, the group (n,) of each point and the largest distance
+    of a pair.
     """
     from scipy.spatial import cKDTree
 
@@ -81,13 +71,7 @@ def without_defects(vertices: FloatArray, triangles: np.ndarray) -> tuple[np.nda
 
     Double triangles are removed, triangles are turned alike (the larger area stays; outwards if
     closed), small holes are filled, and slivers are merged with their neighbours by turning their
-    longest edge.
-
-    Returns
-    -------
-    triangles : (m, 3) array
-    repairs : list of str
-        What was done.
+    longest edge. Returns the triangles and what was done.
     """
     repairs = []
     single = _without_doubles(triangles)
@@ -106,7 +90,7 @@ def without_defects(vertices: FloatArray, triangles: np.ndarray) -> tuple[np.nda
         triangles = np.vstack([triangles, fans])
         edges, at = max(map(len, small)), position(vertices[small[0]].mean(0))
         one, some = f"a hole of {edges} edges", f"{len(small)} holes of up to {edges} edges, one"
-        repairs.append(f"{one if len(small) == 1 else some} around {at} of the file filled")
+        repairs.append(f"{one if len(small) == 1 else some} around {at} mm of the file filled")
     least = MERGED * np.linalg.norm(np.ptp(vertices, axis=0))
     triangles, slivers = without_slivers(vertices, triangles, least)
     if slivers:
@@ -270,8 +254,8 @@ def _enclosed(vertices: FloatArray, loop: np.ndarray) -> float:
 
 
 def position(point: FloatArray) -> str:
-    """A point as text."""
-    return "({:.4g}, {:.4g}, {:.4g}) mm".format(*point)
+    """A point (2,) or (3,), mm, as text; a rounding error is no coordinate."""
+    return f"({', '.join(f'{x:.4g}' for x in np.round(point, 3) + 0.0)})"
 
 
 def _count(n: int, one: str, many: str = "") -> str:

@@ -68,13 +68,7 @@ class Form:
     numbers: tuple[float, ...] = ()
 
     def build(self) -> Shape:
-        """Return the distance function of the tool.
-
-        Raises
-        ------
-        InputError
-            For numbers that make no shape.
-        """
+        """Return the distance function of the tool; InputError for numbers that make none."""
         return SHAPES[self.shape][0](*self.numbers)
 
 
@@ -98,13 +92,7 @@ class ToolPart:
 
     @cached_property
     def shape(self) -> Shape | SurfaceFile:
-        """Its distance function; a surface file is not read here.
-
-        Raises
-        ------
-        InputError
-            For numbers that make no shape.
-        """
+        """Its distance function (InputError for numbers that make none); no file is read here."""
         if not isinstance(self.geometry, Form):
             return self.geometry
         shape = self.geometry.build()

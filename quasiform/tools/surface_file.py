@@ -1,6 +1,6 @@
 """Triangles of a surface from a file: STL, OBJ, PLY, OFF, VTU, VTK, MSH, and CAD through gmsh.
 
-Files come from strangers: nothing in them is executed, and reading writes nothing.
+Files are not trusted: nothing in them is executed, and reading writes nothing.
 """
 
 from __future__ import annotations
@@ -23,13 +23,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..checks import InputError, check_file, check_number, naming, optional
-from .mending import check_numbers, edges_of, merged, normals_of, oriented, without_defects
+from .mending import check_numbers, merged, oriented, without_defects
 
 if TYPE_CHECKING:
     import meshio
     from scipy.spatial.transform import Rotation
-
-__all__ = ["check_numbers", "edges_of", "naming", "normals_of", "optional"]
 
 FloatArray = np.ndarray
 Surface = tuple[FloatArray, np.ndarray]
@@ -70,15 +68,7 @@ class SurfaceFile:
     spacing: float | None = None
 
     def placed(self) -> tuple[FloatArray, np.ndarray, list[str]]:
-        """Read the surface, repair it and put it in the tool's frame.
-
-        Returns
-        -------
-        vertices, triangles
-            As `read_surface`.
-        repairs : list of str
-            What was done.
-        """
+        """Vertices and triangles as `read_surface`, in the tool's frame, and what was repaired."""
         vertices, triangles, merging = _read(self.path, self.scale)
         with naming(self.path):
             triangles, repairs = without_defects(vertices, triangles)
@@ -111,8 +101,8 @@ def read_surface(path: str | Path, scale: float = 1.0) -> Surface:
 
     Returns
     -------
-    vertices : (n, 3) array
-        mm; those that coincide are merged.
+    vertices : (n, 3) array, mm
+        Those that coincide are merged.
     triangles : (m, 3) array
         Vertices in the order that turns about the outward normal; none degenerate.
 
@@ -147,11 +137,10 @@ def _read_mesh(path: Path, kind: str) -> Surface:
         raise InputError("not a readable .ply file: no end_header")  # meshio would not end either
     if kind in MESHIO:
         mesh = read_mesh(path, MESHIO[kind])
-        points = np.pad(np.asarray(mesh.points, float), ((0, 0), (0, 3 - mesh.points.shape[1])))
         kinds = ("triangle", "quad", "polygon")
         faces = [block.data for block in mesh.cells if block.type in kinds]
         fans = [face[:, [0, i, i + 1]] for face in faces for i in range(1, face.shape[1] - 1)]
-        return points, np.concatenate(fans or [np.empty((0, 3), int)])
+        return mesh.points, np.concatenate(fans or [np.empty((0, 3), int)])
     if kind == ".obj":
         with _reading(path):
             return _read_obj(content)
@@ -166,7 +155,8 @@ def _read_obj(content: bytes) -> Surface:
     """Vertices and faces of an OBJ file; negative numbers count back from the last vertex."""
     points: list[list[float]] = []
     fans: list[tuple[int, int, int]] = []
-    for line in re.sub(r"\\\r?\n", " ", content.decode("latin-1")).splitlines():
+    text = content.decode("latin-1").replace("\r", "\n")
+    for line in re.sub(r"\\\n+", " ", text).split("\n"):
         key, *words = line.split("#")[0].split() or [""]
         if key == "v":
             x, y, z = map(float, words[:3])  # a weight or colours may follow
@@ -200,17 +190,16 @@ def _whole_stl(content: bytes) -> bytes:
 
 
 def read_mesh(path: Path, kind: str | None = None) -> meshio.Mesh:
-    """Read a mesh by meshio, in the format `kind` or that of the suffix.
+    """Read a mesh, its points (n, 3), by meshio, in the format `kind` or that of the suffix.
 
-    Raises
-    ------
-    InputError
+    InputError for a file that it cannot read.
     """
     reader = import_module(f"meshio.{kind}" if kind else "meshio")
     with _reading(path):
         mesh = reader.read(str(path))
-    if len(mesh.points) and (mesh.points.ndim != 2 or mesh.points.shape[1] not in (2, 3)):
+    if mesh.points.ndim != 2 or mesh.points.shape[1] not in (2, 3):
         raise InputError("the points have no two or three coordinates")
+    mesh.points = np.pad(np.asarray(mesh.points, float), ((0, 0), (0, 3 - mesh.points.shape[1])))
     return mesh
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..checks import InputError, naming
 from . import grid as surface
-from .mending import loops_of, normals_of
+from .mending import loops_of, normals_of, position
 from .part import ToolPart
 from .shapes import Tool
 from .surface_file import SurfaceFile
@@ -96,14 +96,10 @@ class ToolFile:
             side = "over" if (gap > 0) == self.down else "under"
             where = f"{abs(gap):.3g} mm {side} the {'upper' if self.down else 'lower'} face of"
         size = "{:.4g} x {:.4g} x {:.4g} mm".format(*np.ptp(box, axis=0))
-        lines = [
-            (
-                f"{part.name} from {self.name}",
-                f"{size}, {self.n_triangles} triangles, its middle at {_at(box.mean(0))}, its "
-                f"{'lowest' if self.down else 'highest'} point at {_at(end[:2] + part.place)}, "
-                f"{where} the sheet",
-            )
-        ]
+        middle, tip = position(box.mean(0)[:2]), position(end[:2] + part.place)
+        size += f", {self.n_triangles} triangles, its middle at {middle}"
+        tip = f"its {'lowest' if self.down else 'highest'} point at {tip}"
+        lines = [(f"{part.name} from {self.name}", f"{size}, {tip}, {where} the sheet")]
         if self.repairs:
             lines.append((f"{self.name} repaired", "; ".join(self.repairs)))
         warnings = [*self.warnings, *self._lost_in_opening(tools, outline, travel)]
@@ -119,8 +115,7 @@ class ToolFile:
             return []
         box, warnings, scale = self.box, [], self.file.scale
         size, middle = np.ptp(box[:, :2], axis=0).max(), box.mean(0)
-        low_x, low_y, high_x, high_y = outline.bounds
-        x, y = np.linspace(low_x, high_x, SAMPLES), np.linspace(low_y, high_y, SAMPLES)
+        x, y = np.linspace(*np.reshape(outline.bounds, (2, 2)), SAMPLES, axis=1)
         level = np.full((SAMPLES, SAMPLES), -travel / 2)
         points = np.stack([*np.meshgrid(x, y, indexing="ij"), level], axis=-1)
         for die in (tool for tool in tools if tool.motion == "fixed"):
@@ -204,9 +199,10 @@ def why_tight(driven: Tool, fixed: Tool, files: Mapping[str, ToolFile], thicknes
     if not named or np.linalg.norm(off) < thickness:
         return ""
     origin = files[named[0]].file.moved_origin(*(off if named[0] == driven.name else -off))
+    first, second = map(position, middles)
     return (
-        f"; the middle of the {driven.name} is at {_at(middles[0])}, that of the {fixed.name} at "
-        f"{_at(middles[1])}; for the {named[0]}, {origin} brings them together"
+        f"; the middle of the {driven.name} is at {first}, that of the {fixed.name} at {second}; "
+        f"for the {named[0]}, {origin} brings them together"
     )
 
 
@@ -249,8 +245,3 @@ def _check_over_sheet(
         f"y {low_y:.4g} to {high_y:.4g} mm; {file.moved_origin(*off)} puts it over the middle of "
         "the sheet"
     )
-
-
-def _at(point: FloatArray) -> str:
-    # a rounding error is no coordinate
-    return "({:.4g}, {:.4g})".format(*(np.round(point[:2], 3) + 0.0))

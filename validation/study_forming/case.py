@@ -12,7 +12,8 @@ from scipy.interpolate import LinearNDInterpolator
 import quasiform as qf
 from quasiform.draw.plot import COLOURS, FIRST, SECOND, STYLE, WIDTH
 from quasiform.energy.bending import Bending
-from quasiform.result.measures import disc, percentile
+from quasiform.net.edges import disc
+from quasiform.result.measures import percentile
 from quasiform.scenes import scene_file
 from quasiform.scenes.scene_file import Form, Region
 from validation.bands import Measured
