@@ -1,4 +1,4 @@
-"""What the site needs beside Markdown: formulas as MathML, help texts, docstrings as Markdown.
+"""What the site needs beside Markdown: formulas as MathML, docstrings as Markdown.
 
 Everything is made when the site is built, so that its pages load nothing and need no script for
 their formulas.
@@ -7,16 +7,10 @@ their formulas.
 from __future__ import annotations
 
 import html
-import os
 import re
-from contextlib import redirect_stdout
-from io import StringIO
-from unittest.mock import patch
 
 import griffe
 from latex2mathml.converter import convert
-
-from quasiform.console import cli
 
 PRIMES = (
     ("<mrow><mi>&#x02032;</mi><mi>&#x02032;</mi></mrow>", "<mo>&#x02033;</mo>"),
@@ -39,29 +33,6 @@ def on_page_content(content: str, **_: object) -> str:
         return drawn
 
     return FORMULA.sub(mathml, content)
-
-
-def on_page_markdown(markdown: str, **_: object) -> str:
-    """Put the help texts of the command line in their place, one section a command."""
-    if "<!-- help -->" not in markdown:
-        return markdown
-    overview = help_text()
-    sections = ["```text", overview, "```"]
-    for command in re.findall(r"^    (\w+) ", overview, re.MULTILINE):
-        sections += ["", f"## quasiform {command}", "", "```text", help_text(command), "```"]
-    return markdown.replace("<!-- help -->", "\n".join(sections))
-
-
-def help_text(*command: str) -> str:
-    """What `quasiform COMMAND --help` prints."""
-    said = StringIO()
-    with patch.dict(os.environ, {"COLUMNS": "78"}), redirect_stdout(said):
-        try:
-            cli.main([*command, "--help"])
-        except SystemExit as end:
-            if end.code:
-                raise
-    return said.getvalue().rstrip()
 
 
 class Markdown(griffe.Extension):

@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 
 import quasiform as qf
 
-# %% The model before it is solved: a scene says what is in it and what was left out, and why
-scene = qf.forming("hemisphere", orientation=0, size=20, travel=15)
-for entry, why in scene.model:
+# %% The model before it is solved: it says what is in it and what was left out, and why
+model = qf.forming("hemisphere", orientation=0, size=20, travel=15)
+for entry, why in model.description:
     print(f"{entry}: {why}")
 
 # %% Solve. `callback=qf.progress` shows on stderr how far it has come

@@ -50,10 +50,10 @@ class Ring:
 # the built-in scene with another punch; everything else of the file stays
 file = scene_file.load("hemisphere")
 tools = tuple(
-    replace(part, shape=Ring(radius=40.0, section=15.0)) if part.role == "punch" else part
+    replace(part, geometry=Ring(radius=40.0, section=15.0)) if part.role == "punch" else part
     for part in file.tools
 )
-scene = qf.forming(replace(file, name="ring", tools=tools), size=20, travel=15)
-result = qf.solve(scene, estimate=False)
+model = qf.forming(replace(file, name="ring", tools=tools), size=20, travel=15)
+result = qf.solve(model, estimate=False)
 
 print(f"{result.status}: {result.force:.1f} N, shear to {np.abs(result.shear_angle).max():.1f} deg")

@@ -1,8 +1,8 @@
 """A callback that stops a run, and one that changes it on the way.
 
 The callback is told the `Progress` after each increment. It stops the run there by returning True
-or the reason in words; the result up to there is kept, with the status "stopped". What it changes
-of the scene's terms counts from the next increment on.
+or the reason as a text; the result up to there is kept, with the status "stopped". What it changes
+of the model's terms counts from the next increment on.
 """
 
 import quasiform as qf
@@ -20,9 +20,9 @@ stopped = qf.solve(qf.off_axis_tension(displacement=50, size=20), until_sheared)
 print(stopped.status, "-", stopped.reason)
 
 
-# The holder is pressed harder once the punch has gone 10 mm: its weight is a term of the scene.
-scene = qf.forming("hemisphere", size=20, travel=20)
-weight = next(term for term in scene.terms if isinstance(term, ToolWeight))
+# The holder is pressed harder once the punch has gone 10 mm: its weight is a term of the model.
+model = qf.forming("hemisphere", size=20, travel=20)
+weight = next(term for term in model.terms if isinstance(term, ToolWeight))
 light = weight.force
 
 
@@ -32,5 +32,5 @@ def press(step):
         weight.force = 4 * light
 
 
-pressed = qf.solve(scene, press, estimate=False)
+pressed = qf.solve(model, press, estimate=False)
 print("force of the holder:", pressed.history["holder_force_N"].round(1), "N")

@@ -34,7 +34,7 @@ summary = pd.DataFrame(
             "force_N": run.force,
             "p99_deg": run.quantities["shear_angle_deg"],
             "largest_E11": np.abs(run.cell_fields()["E11"]).max(),
-            "certified": run.certified is True,
+            "certified": bool(run.certified),
         }
         for law, run in runs.items()
     }

@@ -1,22 +1,19 @@
-"""What the user gives, checked: every refusal is one line that names what was expected."""
+"""Checks of what the user gives: every refusal is one line that names what was expected."""
 
 from __future__ import annotations
 
 import difflib
-import re
-import tomllib
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from errno import EISDIR
+from importlib import import_module
 from numbers import Real
 from os import strerror
 from pathlib import Path
 from stat import S_ISDIR, S_ISREG
-from typing import Any, TypeVar
+from typing import Any
 
-T = TypeVar("T")
 LONGEST = 400  # characters of a message
-BIGGEST = 10_000_000  # bytes of a TOML file
-DEEPEST = 30  # tables and lists in each other
 
 
 class InputError(ValueError):
@@ -73,69 +70,27 @@ def check_file(path: str | Path) -> None:
         raise InputError(f"not the name of a file: {str(path)!r}") from error  # a null character
 
 
-def read_toml(path: str | Path, build: Callable[[dict[str, Any]], T]) -> T:
-    """Build something from the table in a TOML file; every refusal names the file."""
-    try:
-        return build(_toml(path))
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from error
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
-
-
-def _toml(path: str | Path) -> dict[str, Any]:
-    """Table of a TOML file that is not meant to hold up its reader."""
-    check_file(path)
-    if Path(path).stat().st_size > BIGGEST:
-        raise InputError(f"larger than {BIGGEST / 1e6:g} MB")
-    try:
-        text = Path(path).read_bytes().decode("utf-8-sig")
-        # the time that tomllib takes for a dotted key grows with the square of its parts
-        for word in text.replace(" ", "").replace("\t", "").split("\n"):
-            if word.count(".") > 20 * DEEPEST and _parts(word) > 10 * DEEPEST:
-                raise InputError(f"a key of more than {10 * DEEPEST} parts")
-        table = tomllib.loads(text)
-    except RecursionError:
-        raise InputError(f"tables and lists nested deeper than {DEEPEST}") from None
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{error}{_decimal_comma(text, str(error))}") from error
-    except ValueError as error:  # of the encoding, of TOML, or of a number with too many digits
-        raise InputError(str(error)) from error
-    level: list[Any] = [table]
-    for _ in range(DEEPEST):
-        level = [
-            inner
-            for outer in level
-            for inner in (outer.values() if isinstance(outer, dict) else outer)
-            if _holds_more(inner)
-        ]
-    if level:
-        raise InputError(f"tables and lists nested deeper than {DEEPEST}")
-    return table
-
-
-def _decimal_comma(text: str, error: str) -> str:
-    """Point to a comma in a number, where it is what TOML stumbles over."""
-    at = re.search(r"at line (\d+)", error)
-    line = text.split("\n")[int(at[1]) - 1] if at else ""
-    comma = re.search(r"=\s*([+-]?\d+),(\d+)\s*(?:[#,}]|$)", line)
-    return f": with a decimal point, {comma[1]}.{comma[2]}" if comma else ""
-
-
-def _parts(line: str) -> int:
-    """Largest number of parts that dots join, blanks left out."""
-    words = line.translate(str.maketrans(",[]{}=#", " " * 7)).split()
-    return max(sum(map(bool, word.split("."))) for word in words)
-
-
-def _holds_more(value: Any) -> bool:
-    """Whether a value of TOML is a table or list; refuse numbers beyond its 64 bits."""
-    if isinstance(value, int) and not -(2**63) <= value < 2**63:
-        raise InputError("an integer that does not fit into 64 bits")
-    return isinstance(value, dict | list)
-
-
 def suggestion(word: str, known: Iterable[str]) -> str:
     """Return the nearest of the known words as a question, or all of them."""
     near = difflib.get_close_matches(word, known, n=1)
     return f"did you mean '{near[0]}'?" if near else f"expected one of {', '.join(known)}"
+
+
+def optional(module: str, extra: str, need: str) -> Any:
+    """Import an optional package, or say how to install it."""
+    try:
+        return import_module(module)
+    except (ImportError, OSError) as error:  # OSError: gmsh without the system's libraries
+        raise InputError(f"{need}: pip install 'quasiform[{extra}]'") from error
+
+
+@contextmanager
+def naming(path: str | Path) -> Iterator[None]:
+    """Name the file, once, in every refusal."""
+    try:
+        yield
+    except (OSError, UnicodeDecodeError, InputError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        if not reason.startswith(f"{path}: "):
+            reason = f"{path}: {reason}"
+        raise InputError(reason) from error

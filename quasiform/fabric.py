@@ -14,8 +14,6 @@ Everything here works on plain arrays; no mesh is needed.
 
 from __future__ import annotations
 
-import json
-import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from functools import cached_property
@@ -24,9 +22,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import BPoly
 
-from .checks import InputError, check_keys, check_number, read_toml, suggestion
+from .checks import InputError, check_number, suggestion
+from .toml_file import read_toml, toml_text
 
 FloatArray = np.ndarray
 
@@ -242,8 +240,10 @@ class TabulatedLaw:
         return inside, np.abs(x) - inside
 
     @cached_property
-    def _curves(self) -> tuple[BPoly, BPoly, BPoly]:
-        """Stiffness, stress and energy within the table."""
+    def _curves(self) -> tuple[Any, Any, Any]:
+        """Stiffness, stress and energy within the table: piecewise polynomials."""
+        from scipy.interpolate import BPoly
+
         h, D = np.diff(self.I6), np.diff(self.S12) / np.diff(self.I6)
         end = D[-1] + (D[-1] - D[-2]) * h[-1] / (h[-1] + h[-2])
         m = np.concatenate([D[:1], _parabola(h, D), [np.clip(end, D[-1] / 4, 5 * D[-1] / 4)]])
@@ -289,6 +289,10 @@ def _increasing(name: str, values: Any) -> tuple[float, ...]:
 
 
 _TENSION = ThreeStageLaw(C_ini=1000.0)
+_NUMBERS = dict.fromkeys(("thickness", "compaction", "shear_range"), False)  # may it be zero?
+_NUMBERS |= dict.fromkeys(
+    ("bending_warp", "bending_weft", "friction", "areal_weight", "in_plane_bending"), True
+)
 _MD600_SHEAR = {"C_ini": 0.334, "S_ini": 0.00386, "C_mid": 0.00196, "dS_mid": 0.0399}
 
 
@@ -350,32 +354,19 @@ class Fabric:
     def __post_init__(self) -> None:
         if not isinstance(self.name, str):
             raise InputError(f"Fabric(name=...) must be a text, got {self.name!r}")
-        if not isinstance(self.shear, ThreeStageLaw | TabulatedLaw):
-            raise InputError(
-                "Fabric(shear=...) must be a ThreeStageLaw or a TabulatedLaw, "
-                f"got {type(self.shear).__name__}"
-            )
-        for name in ("warp", "weft"):
-            if not isinstance(getattr(self, name), ThreeStageLaw):
+        for name in ("shear", "warp", "weft"):
+            law, kinds = getattr(self, name), [ThreeStageLaw]
+            if name == "shear":
+                kinds.append(TabulatedLaw)
+            if not isinstance(law, tuple(kinds)):
+                expected = " or a ".join(kind.__name__ for kind in kinds)
                 raise InputError(
-                    f"Fabric({name}=...) must be a ThreeStageLaw, "
-                    f"got {type(getattr(self, name)).__name__}"
+                    f"Fabric({name}=...) must be a {expected}, got {type(law).__name__}"
                 )
-        if (
-            check_number("Fabric(in_plane_bending=...)", self.in_plane_bending, zero_allowed=True)
-            > 1
-        ):
+        for name, zero_allowed in _NUMBERS.items():
+            check_number(f"Fabric({name}=...)", getattr(self, name), zero_allowed=zero_allowed)
+        if self.in_plane_bending > 1:
             raise InputError(f"in_plane_bending must not exceed 1, got {self.in_plane_bending}")
-        for name in ("thickness", "compaction", "shear_range"):
-            check_number(f"Fabric({name}=...)", getattr(self, name))
-        for name in (
-            "bending_warp",
-            "bending_weft",
-            "friction",
-            "areal_weight",
-            "in_plane_bending",
-        ):
-            check_number(f"Fabric({name}=...)", getattr(self, name), zero_allowed=True)
         object.__setattr__(self, "provenance", _provenance(self.provenance))
 
     @staticmethod
@@ -409,21 +400,28 @@ class Fabric:
 
     def save(self, path: str | Path) -> None:
         """Write the fabric as TOML (MPa, mm, N mm, g/m²), with what provenance says of a value."""
-        lines, tables = [], []
-        for key, value in asdict(self).items():
-            if isinstance(value, dict):
-                entries = [f"{_key(k)} = {_toml(v)}" for k, v in value.items() if v is not None]
-                tables += [f"\n[{key}]{self._origin(key)}", *entries] if entries else []
-            else:
-                lines.append(f"{key} = {_toml(value)}{self._origin(key)}")
-        Path(path).write_text("\n".join(lines + tables) + "\n", encoding="utf-8")
+        table = self.written()
+        if not self.provenance:
+            del table["provenance"]
+        origins = {key: value for key, value in self.provenance.items() if isinstance(value, str)}
+        Path(path).write_text(toml_text(table, origins), encoding="utf-8")
 
-    def _origin(self, key: str) -> str:
-        """What provenance says of a value, as a comment: one line without control characters."""
-        origin = self.provenance.get(key)
-        if not isinstance(origin, str):
-            return ""
-        return "  # " + "".join(c if c.isprintable() else " " for c in origin)
+    def written(self) -> dict[str, Any]:
+        """Return the fabric as plain numbers and texts, for a recipe."""
+        table = asdict(self)
+        for law in ("shear", "warp", "weft"):
+            table[law] = {k: v for k, v in table[law].items() if v is not None}
+        return table
+
+    @staticmethod
+    def read(written: Mapping[str, Any]) -> Fabric:
+        """Return the fabric that was written.
+
+        Raises
+        ------
+        InputError
+        """
+        return _fabric(dict(written))
 
 
 PRESETS = ("locking", "best-fit")
@@ -443,70 +441,38 @@ def fabric_of(law: str | Path | Fabric) -> Fabric:
     return Fabric.preset(str(law))
 
 
-def _fabric(table: Mapping[str, Any]) -> Fabric:
-    arguments: dict[str, Any] = {}
-    check_keys(table, [f.name for f in fields(Fabric)])
-    for key, value in table.items():
-        if key in ("shear", "warp", "weft"):
-            if not isinstance(value, Mapping):
-                raise InputError(f"{key} = {value!r}: expected a table [{key}]")
-            arguments[key] = _law(key, value)
-        else:
-            arguments[key] = value
-    return Fabric(**arguments)
+def _fabric(table: dict[str, Any]) -> Fabric:
+    from .schema import read_dataclass  # pydantic, only where a file is read
 
-
-def _law(key: str, table: Mapping[str, Any]) -> ThreeStageLaw | TabulatedLaw:
-    stages, points = ([f.name for f in fields(law)] for law in (ThreeStageLaw, TabulatedLaw))
-    check_keys(table, stages + points if key == "shear" else stages, key)
-    given = [name for name in table if name in points]
-    if given and len(given) < len(table):
-        stage = next(name for name in table if name in stages)
-        raise InputError(
-            f"[{key}] {given[0]} is of a table, {stage} of a three-stage law: give one of the two"
-        )
-    missing = [name for name in (points if given else ["C_ini"]) if name not in table]
-    if missing:
-        raise InputError(f"[{key}]: {missing[0]} missing")
-    try:
-        return TabulatedLaw(**table) if given else ThreeStageLaw(**table)
-    except InputError as error:
-        raise InputError(f"[{key}] {error}") from error
+    points = {f.name for f in fields(TabulatedLaw)}
+    for key in [key for key in table if key in ("shear", "warp", "weft")]:
+        kind, numbers = ThreeStageLaw, table[key]
+        if key == "shear" and isinstance(numbers, Mapping) and points & numbers.keys():
+            kind = TabulatedLaw
+            for stage in (f.name for f in fields(ThreeStageLaw) if f.name in numbers):
+                point = next(name for name in numbers if name in points)
+                raise InputError(
+                    f"[{key}] {point} is of a table, {stage} of a three-stage law: "
+                    "give one of the two"
+                )
+        table[key] = read_dataclass(kind, numbers, key)
+    return read_dataclass(Fabric, table)
 
 
 def _provenance(given: Any) -> dict[str, str | float]:
     """Return a copy of plain texts, numbers and truth values; refuse anything else."""
     if not isinstance(given, Mapping):
         raise InputError(f"provenance must be a table of texts and numbers, got {given!r}")
+    kinds = ((str, str), (bool | np.bool_, bool), (Integral, int), (Real, float))
     plain: dict[str, str | float] = {}
     for key, value in given.items():
         if not isinstance(key, str):
             raise InputError(f"a key of provenance must be a text, got {key!r}")
-        if isinstance(value, str):
-            plain[key] = str(value)
-        elif isinstance(value, bool | np.bool_):
-            plain[key] = bool(value)
-        elif isinstance(value, Integral):
-            plain[key] = int(value)
-        elif isinstance(value, Real) and np.isfinite(value):
-            plain[key] = float(value)
-        else:
+        kind = next((kind for given_kind, kind in kinds if isinstance(value, given_kind)), None)
+        if kind is None or (kind is float and not np.isfinite(value)):
             raise InputError(
                 f"provenance '{key}' must be a text, a finite number or true or false, "
                 f"got {value!r}"
             )
+        plain[key] = kind(value)
     return plain
-
-
-def _key(name: str) -> str:
-    return name if re.fullmatch("[A-Za-z0-9_-]+", name) else _toml(name)
-
-
-def _toml(value: str | float | tuple[float, ...]) -> str:
-    if isinstance(value, tuple):
-        return f"[{', '.join(map(_toml, value))}]"
-    if isinstance(value, str):  # the escapes of JSON are TOML's, which has one more to make
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    if isinstance(value, bool):
-        return str(value).lower()
-    return repr(int(value) if isinstance(value, Integral) else float(value))

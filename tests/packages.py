@@ -22,17 +22,13 @@ from tempfile import TemporaryDirectory
 ROOT = Path(__file__).resolve().parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 PYTHONS = ("3.11", "3.12", "3.13")
-NEEDED = (
-    "quasiform/geometries/hemisphere.toml",
-    "quasiform/suite/validation/cases.csv",
-    "quasiform/suite/validation/run.py",
-)
+NEEDED = ("quasiform/geometries/hemisphere.toml",)
 USE = (  # what a newcomer does first; run where no clone is near
     "quasiform --version",
     "quasiform form hemisphere --dry-run",
     "quasiform form tetrahedron --size 20 --travel 5 --out formed",
     "quasiform oat --law best-fit --displacement 5 --size 40 --out pulled",
-    "quasiform validate closed_forms --out report",
+    "quasiform schema",
     "python -c 'import quasiform as qf; help(qf)'",
 )
 TESTS = (

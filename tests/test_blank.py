@@ -10,6 +10,7 @@ from quasiform.energy.membrane import Membrane
 from quasiform.fabric import Fabric
 from quasiform.net import outline as outlines
 from quasiform.net.blank import Blank, cut, rectangle, rotation
+from quasiform.unknowns import Unknowns
 
 LENGTH, WIDTH = 320.0, 160.0
 
@@ -233,8 +234,9 @@ def test_unfolded_part_is_the_whole_mesh(mirror, orientation):
     X, Y = part.nodes.T
     bulge = np.column_stack([np.sin(X / 20) * np.cos(Y / 20), X**2 * Y / 5e3, np.cos(X / 30)])
     x = np.column_stack([part.nodes, np.zeros(len(X))]) + bulge
-    gamma = Membrane(part, Fabric(), dim=3).shear_angle(x.ravel())
-    gamma_whole = Membrane(whole, Fabric(), dim=3).shear_angle((x[source] * sign).ravel())
+    gamma = Membrane(Unknowns().sheet(part, Fabric(), dim=3)).shear_angle(x.ravel())
+    membrane = Membrane(Unknowns().sheet(whole, Fabric(), dim=3))
+    gamma_whole = membrane.shear_angle((x[source] * sign).ravel())
     assert np.abs(gamma).max() > 0.1
     assert_allclose(gamma_whole, gamma[triangle_source] * triangle_sign, atol=1e-12)
 

@@ -12,13 +12,13 @@ import shapely
 
 import quasiform as qf
 from quasiform.comparison import FILES, compare, picture
-from quasiform.comparison.mapping import carried
-from quasiform.comparison.place import unfolded
-from quasiform.comparison.read import Reading, read_run
-from quasiform.comparison.sheet import Sheet
-from quasiform.comparison.table import read_table
+from quasiform.comparison.mapping import mapped
+from quasiform.comparison.place import rim, unfolded
+from quasiform.comparison.read import Reading, read_side
 from quasiform.console.cli import main
 from quasiform.net.blank import rotation
+from quasiform.result.sheet import FormedSheet
+from quasiform.tables import read_table
 
 HALF = 100.0  # mm
 
@@ -124,7 +124,7 @@ def test_statistics_are_weighted_by_area():
     # a coarse and a fine half: the plain mean over the nodes would lean to the fine one
     X = np.array([[0.0, 0], [10, 0], [10, 10], [0, 10], [11, 0], [11, 10]])
     triangles = np.array([[0, 1, 2], [0, 2, 3], [1, 4, 5], [1, 5, 2]])
-    assert Sheet(flat=X, triangles=triangles).weights.sum() == pytest.approx(110.0)
+    assert FormedSheet(flat=X, triangles=triangles).weights.sum() == pytest.approx(110.0)
 
 
 def test_means_are_weighted_by_area(tmp_path):
@@ -249,7 +249,7 @@ def test_each_sheet_is_drawn_on_its_own_shape(result, tmp_path):
     moved.write(tmp_path / "moved.vtu")
     found = compare(result, tmp_path / "moved.vtu", by="flat")
     mine, theirs, both = (
-        picture._shown(found, panel)[0].places[:, 0].mean()
+        picture.fields_of(found.sheets, found.field, found.gamma)[panel][0].places[:, 0].mean()
         for panel in ("result", "reference", "difference")
     )
     assert theirs - mine == pytest.approx(7.0)
@@ -369,7 +369,8 @@ def test_a_quarter_contour_is_unfolded(start):
     arc = outline.exterior.intersection(shapely.box(0, 0, 99, 99))
     for line in (shapely.LineString(np.vstack([ring, ring[:1]])), shapely.line_merge(arc)):
         for planes in (("x", "y"), ("y", "x")):
-            whole = unfolded(Sheet(contour=line), planes, False).contour
+            sheet = FormedSheet(contour=shapely.get_coordinates(line))
+            whole = rim(unfolded(sheet, planes, False))
             assert whole.is_closed
             assert shapely.hausdorff_distance(whole, outline.exterior) < 0.1
 
@@ -425,10 +426,11 @@ def test_angle_worked_out_from_displacements(tmp_path):
     x[:, 0] += np.tan(np.radians(10.0)) * X[:, 1]  # simple shear by 10 degrees
     path = tmp_path / "sheared.vtu"
     meshio.Mesh(x, [("triangle", triangles)], {"displacement": x - flat}).write(path)
-    gamma = read_run(path, Reading(signed=True)).state(0).gamma
+    gamma = read_side(path, Reading(signed=True)).sheets[0].point_fields["shear_angle"]
     np.testing.assert_allclose(gamma, 10.0, atol=1e-9)
     # fibres at 90° to x: the warp now closes towards the other's negative direction
-    gamma = read_run(path, Reading(signed=True, orientation=90.0)).state(0).gamma
+    turned = read_side(path, Reading(signed=True, orientation=90.0))
+    gamma = turned.sheets[0].point_fields["shear_angle"]
     np.testing.assert_allclose(gamma, -10.0, atol=1e-9)
 
 
@@ -554,7 +556,7 @@ def test_a_part_of_a_contour_is_no_miss(result, tmp_path):
 def test_the_outline_is_the_outer_one():
     X, triangles, _ = flat_mesh(11)
     ring = triangles[np.linalg.norm(X[triangles].mean(1), axis=1) > 50.0]
-    outline = Sheet(np.pad(X, ((0, 0), (0, 1))), triangles=ring).outline
+    outline = rim(FormedSheet(np.pad(X, ((0, 0), (0, 1))), ring))
     assert outline.is_closed
     assert outline.bounds == (-100.0, -80.0, 100.0, 80.0)
     assert shapely.Polygon(outline).area == pytest.approx(200.0 * 160.0)
@@ -690,7 +692,7 @@ def test_command(result, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (["--mirror", "z"], "--mirror: expected x, y or x,y, got 'z'"),
+        (["--mirror", "z"], "--mirror: unknown value 'z': expected one of x, y, x,y"),
         (["--area", "a=1,2"], "--area: expected NAME=X,Y,RADIUS in mm, got 'a=1,2'"),
         (["--align", "rigit"], "did you mean 'rigid'?"),
         (["--field", "S"], "no field 'S'"),
@@ -726,8 +728,9 @@ def test_two_runs_and_their_files(tmp_path):
 
 def test_points_beyond_a_sheet_are_not_compared():
     X, triangles, _ = flat_mesh(11)
-    sheet = Sheet(flat=X, triangles=triangles, gamma=gamma_of(X))
-    points = Sheet(flat=np.array([[0.0, 0.0], [103.0, 0.0], [160.0, 0.0]]), gamma=np.zeros(3))
-    gamma, _ = carried(sheet, points, "flat")
+    fields = {"shear_angle": gamma_of(X)}
+    sheet = FormedSheet(flat=X, triangles=triangles, point_fields=fields)
+    points = FormedSheet(flat=np.array([[0.0, 0.0], [103.0, 0.0], [160.0, 0.0]]))
+    gamma = mapped(sheet, points, "flat")
     np.testing.assert_allclose(gamma[:2], [20.0, 28.0], atol=1e-9)
     assert np.isnan(gamma[2])

@@ -16,8 +16,9 @@ import quasiform as qf
 from quasiform.checks import InputError
 from quasiform.console.cli import main
 from quasiform.fabric import TabulatedLaw
-from quasiform.handover import FORMATS, abaqus_deck, carry, export, flat_pattern, part_of
+from quasiform.handover import FORMATS, abaqus_deck, carry, export, flat_pattern, read_formed
 from quasiform.handover.handover import FILES
+from quasiform.handover.inp import moduli
 from quasiform.handover.target import read_target
 from quasiform.handover.tool_surface import from_scene_file, sampled
 from quasiform.result.files import FILES as RESULT_FILES
@@ -63,11 +64,18 @@ def write_result(folder, form, n=11, orientation=30.0, half=HALF, scene=None, **
         x,
         [("triangle", triangles)],
         {"displacement": x - np.pad(X, ((0, 0), (0, 1)))},
-        {"warp": [unit[0]], "weft": [unit[1]], "doubt": [np.zeros(len(triangles))]},
+        {
+            "warp": [unit[0]],
+            "weft": [unit[1]],
+            "shear_angle": [np.degrees(np.arcsin((unit[0] * unit[1]).sum(1)))],
+            "doubt": [np.zeros(len(triangles))],
+        },
     ).write(folder / "result.vtu")
     content = {
         "case": "known part",
         "status": "completed",
+        "reached_mm": 40.0,
+        "error_estimate": {},
         "certified": True,
         "parameters": {"fabric": FABRIC, "scene": scene},
     } | summary
@@ -115,7 +123,7 @@ def angle_between(a, b):
 
 
 def test_area_change_of_a_stretch_is_exact(tmp_path):
-    fibres = carry(part_of(write_result(tmp_path / "r", stretched)))
+    fibres = carry(read_formed(write_result(tmp_path / "r", stretched)))
     J = np.linalg.det(A)
     np.testing.assert_allclose(fibres.area_ratio, J, rtol=1e-12)
     np.testing.assert_allclose(fibres.thickness, 1.2 / J, rtol=1e-12)
@@ -126,12 +134,12 @@ def test_area_change_of_a_stretch_is_exact(tmp_path):
 
 
 def test_fibres_of_flat_part_are_found(tmp_path):
-    part = part_of(write_result(tmp_path / "r", dome, orientation=-25.0))
-    np.testing.assert_allclose(part.along, fibres_at(-25.0), atol=1e-12)
+    record = read_formed(write_result(tmp_path / "r", dome, orientation=-25.0))
+    np.testing.assert_allclose(record.sheet.along, fibres_at(-25.0), atol=1e-12)
 
 
 def test_directions_are_unit_and_tangent(tmp_path):
-    part = part_of(write_result(tmp_path / "r", dome))
+    part = read_formed(write_result(tmp_path / "r", dome))
     X, triangles, _ = mesh_of(17, 40.0)
     meshio.Mesh(dome(X), [("triangle", triangles)]).write(tmp_path / "fine.vtu")
     for target in (None, read_target(tmp_path / "fine.vtu")):
@@ -146,11 +154,15 @@ def test_directions_are_unit_and_tangent(tmp_path):
 
 def test_result_and_its_folder_hand_over_the_same(run):
     result, folder = run
-    one, other = part_of(result), part_of(folder)
-    for name in ("flat", "points", "triangles", "warp", "weft", "area_ratio"):
+    one, other = carry(read_formed(result)), carry(read_formed(folder))
+    for name in ("warp", "weft", "area_ratio"):
         np.testing.assert_allclose(getattr(one, name), getattr(other, name), atol=1e-9)
-    for name in ("thickness", "areal_weight", "moduli", "name"):
+    for name in ("thickness", "areal_weight", "name"):
         assert one.fabric[name] == other.fabric[name]
+    assert moduli(one) == moduli(other)
+    one, other = read_formed(result).sheet, read_formed(folder).sheet
+    for name in ("flat", "points", "triangles"):
+        np.testing.assert_allclose(getattr(one, name), getattr(other, name), atol=1e-9)
     np.testing.assert_allclose(one.along, fibres_at(20.0), atol=1e-9)
 
 
@@ -167,7 +179,7 @@ def test_mapping_onto_a_finer_mesh_converges_to_the_field(tmp_path, kind):
     warp, weft = (f / np.linalg.norm(f, axis=1)[:, None] for f in (warp, weft))
     errors = []
     for n in (11, 21):
-        fibres = carry(part_of(write_result(tmp_path / f"r{n}", dome, n)), target)
+        fibres = carry(read_formed(write_result(tmp_path / f"r{n}", dome, n)), target)
         assert fibres.known.all()
         errors.append(
             [
@@ -182,7 +194,7 @@ def test_mapping_onto_a_finer_mesh_converges_to_the_field(tmp_path, kind):
 
 
 def test_elements_off_the_sheet_are_told_and_get_nothing(tmp_path):
-    part = part_of(write_result(tmp_path / "r", dome))
+    part = read_formed(write_result(tmp_path / "r", dome))
     X, triangles, _ = mesh_of(5, 45.0)
     x = np.vstack([dome(X), dome(X) + np.array([0, 0, 300])])
     both = np.vstack([triangles, triangles[:, ::-1] + len(X)])
@@ -205,7 +217,7 @@ def test_doubts_of_a_run_are_told(tmp_path):
     mesh = meshio.read(folder / "result.vtu")
     mesh.cell_data["doubt"][0][:3] = 1.0
     mesh.write(folder / "result.vtu")
-    notices = " ".join(part_of(folder).notices)
+    notices = " ".join(carry(read_formed(folder)).notices)
     assert "3 of 200 triangles" in notices
     assert "stopped before its goal" in notices
     assert "not certified: stopped early" in notices
@@ -621,7 +633,7 @@ def test_deck_of_a_forming_scene(tmp_path, symmetry):
             assert all(abs(nodes[i][axis]) < 1e-9 for i in nsets[f"MIRROR_{plane}"])
     text = (tmp_path / "new" / "scene.inp").read_text()
     assert "13     points of the table" in text
-    assert any("not carried: in-plane bending" in notice for notice in notices)
+    assert any("not in the deck: in-plane bending" in notice for notice in notices)
     assert any("not run" in notice for notice in notices)
     assert any("multiply forces by 4" in notice for notice in notices) == mirrored
 
@@ -678,7 +690,7 @@ def test_what_a_deck_cannot_hold_is_told(tmp_path):
     scene = qf.off_axis_tension(size=40)
     scene.terms.append(Spring())
     notices = abaqus_deck(scene, tmp_path / "a.inp")
-    assert "not carried: a spring of mine" in notices
+    assert "not in the deck: a spring of mine" in notices
     text = (tmp_path / "a.inp").read_text()
     assert "a spring of mine" in text
     with pytest.raises(InputError, match="exists already"):
@@ -704,7 +716,6 @@ def test_triangles_of_a_tool_lie_on_it(shape):
 def test_circle_mapped_forward_comes_back(tmp_path):
     """A circle of the flat sheet, lifted onto the formed triangles, is found again."""
     folder = write_result(tmp_path / "r", dome, 41)
-    part = part_of(folder)
     t = np.linspace(0, 2 * np.pi, 400, endpoint=False)
     radius, centre = 30.0, np.array([4.0, -3.0])
     X = centre + radius * np.column_stack([np.cos(t), np.sin(t)])
@@ -716,7 +727,7 @@ def test_circle_mapped_forward_comes_back(tmp_path):
     assert np.abs(np.linalg.norm(line - centre, axis=1) - radius).max() < 1e-3 * size
     assert pattern.area == pytest.approx(np.pi * radius**2, rel=1e-3)
     assert not any("leaves" in notice or "jumps" in notice for notice in pattern.notices)
-    assert len(part.triangles) == 3200
+    assert len(read_formed(folder).sheet.triangles) == 3200
     # from a CSV too, in metres
     rows = ["x,y,z", *(f"{p[0]:.9g},{p[1]:.9g},{p[2]:.9g}" for p in curve * 1e-3)]
     (tmp_path / "trim.csv").write_text("\n".join(rows))
@@ -943,7 +954,8 @@ def test_folders_that_are_no_results_are_refused(tmp_path):
         return folder
 
     for folder, words in (
-        (changed("a", lambda s: s.pop("parameters")), "no parameters.fabric"),
+        (changed("z", lambda s: s.pop("parameters")), "expected reached_mm, parameters"),
+        (changed("a", lambda s: s["parameters"].pop("fabric")), "no parameters.fabric"),
         (
             changed("b", lambda s: s["parameters"]["fabric"].pop("areal_weight")),
             "parameters.fabric.areal_weight must be",
@@ -956,21 +968,21 @@ def test_folders_that_are_no_results_are_refused(tmp_path):
     ):
         if words:
             with pytest.raises(InputError, match=words):
-                part_of(folder)
+                read_formed(folder)
     (folder / "summary.json").write_text("{")
-    with pytest.raises(InputError, match=r"summary\.json: not readable"):
-        part_of(folder)
+    with pytest.raises(InputError, match=r"summary\.json: not the summary of a run"):
+        read_formed(folder)
     (folder / "summary.json").unlink()
-    with pytest.raises(InputError, match=r"summary\.json: No such file"):
-        part_of(folder)
+    with pytest.raises(InputError, match=r"it has no summary\.json"):
+        read_formed(folder)
     folder = write_result(tmp_path / "e", dome)
     mesh = meshio.read(folder / "result.vtu")
     del mesh.cell_data["weft"]
     mesh.write(folder / "result.vtu")
-    with pytest.raises(InputError, match="no cell field 'weft'"):
-        part_of(folder)
+    with pytest.raises(InputError, match="no field 'weft'"):
+        read_formed(folder)
     folder = changed("f", lambda s: s["parameters"]["fabric"].pop("shear"))
-    with pytest.raises(InputError, match="does not tell the laws"):
+    with pytest.raises(InputError, match="the laws of the fabric are unknown"):
         export(folder, "abaqus", tmp_path / "out")
 
 

@@ -11,6 +11,7 @@ import quasiform
 # Each line may import from the lines above it, and a folder from itself.
 FLOW = """
     checks
+    schema tables toml_file
     theory
     fabric net
     tools

@@ -14,6 +14,7 @@ from quasiform.energy.patch_bending import PatchBending
 from quasiform.net.blank import rectangle
 from quasiform.net.free_mesh import aligned_share, outline_of, own_mesh, triangulate
 from quasiform.theory import OffAxisTension
+from quasiform.unknowns import Unknowns
 
 FABRIC = qf.Fabric(in_plane_bending=0.2)
 
@@ -37,10 +38,14 @@ def blank(tmp_path):
     return own_mesh(tmp_path / "own.vtu", orientation=20.0)
 
 
+def sheet_of(blank, dim):
+    return Unknowns().sheet(blank, FABRIC, dim)
+
+
 def terms(blank):
-    yield PairedMembrane(blank, FABRIC, 2), 2
-    yield PairedMembrane(blank, FABRIC, 3), 3
-    yield PatchBending(blank, FABRIC), 3
+    yield PairedMembrane(sheet_of(blank, 2)), 2
+    yield PairedMembrane(sheet_of(blank, 3)), 3
+    yield PatchBending(sheet_of(blank, 3)), 3
 
 
 def test_derivatives_follow_the_energy(blank):
@@ -55,14 +60,14 @@ def test_derivatives_follow_the_energy(blank):
 
         slope = (term.energy(x + h * d).sum() - term.energy(x - h * d).sum()) / (2 * h)
         assert_allclose(total(x) @ d, slope, rtol=1e-6)
-        H = term.hessian(x, False)
+        H = term.hessian(x, None, False)
         push = np.bincount(
             term.dofs.ravel(), np.einsum("nij,nj->ni", H, d[term.dofs]).ravel(), minlength=n
         )
         change = (total(x + h * d) - total(x - h * d)) / (2 * h)
         assert_allclose(push, change, atol=1e-6 * np.abs(change).max())
         assert_allclose(H, H.transpose(0, 2, 1), atol=1e-9 * np.abs(H).max())
-        low = np.linalg.eigvalsh(term.hessian(x, True)).min()
+        low = np.linalg.eigvalsh(term.hessian(x, None, True)).min()
         assert low > -1e-12 * np.abs(H).max()
 
 
@@ -73,13 +78,14 @@ def test_rigid_motion_costs_nothing_and_area_is_shared_out(blank):
     for term, dim in terms(blank):
         if dim == 3:
             assert abs(term.energy(x).sum()) < 1e-9
-    assert_allclose(PairedMembrane(blank, FABRIC, 2).whole.sum(), FABRIC.thickness * 42.0 * 30.0)
+    volume = PairedMembrane(sheet_of(blank, 2)).whole.sum()
+    assert_allclose(volume, FABRIC.thickness * 42.0 * 30.0)
 
 
 def test_homogeneous_strain_is_that_of_the_plain_membrane(blank):
     F = np.array([[1.02, 0.3], [0.1, 0.97]])
     x = (blank.nodes @ F.T).ravel()
-    paired, plain = PairedMembrane(blank, FABRIC, 2), Membrane(blank, FABRIC, 2)
+    paired, plain = PairedMembrane(sheet_of(blank, 2)), Membrane(sheet_of(blank, 2))
     assert_allclose(paired.energy(x).sum(), plain.energy(x).sum(), rtol=1e-12)
     assert_allclose(paired.shear_angle(x), plain.shear_angle(x), rtol=1e-9)
 
@@ -89,7 +95,7 @@ def test_quadratic_forms_have_exact_curvature(blank):
     for form, curvature in ((a**2, (2.0, 0.0)), (b**2, (0.0, 2.0)), (a * b, (0.0, 0.0))):
         z = 1e-6 * form
         x = np.column_stack([blank.nodes, z]).ravel()
-        kappa = PatchBending(blank, FABRIC).curvature(x)
+        kappa = PatchBending(sheet_of(blank, 3)).curvature(x)
         assert_allclose(kappa, np.tile(1e-6 * np.array(curvature), (len(kappa), 1)), atol=1e-9)
 
 
@@ -99,8 +105,8 @@ def test_every_triangle_is_in_one_pair(blank):
     assert len(np.unique(proper)) == proper.size
     assert proper.size > 0.9 * len(blank.triangles)
     assert aligned_share(blank) < 0.1
-    assert type(membrane_of(blank, FABRIC, 3)) is PairedMembrane
-    assert type(membrane_of(rectangle(20, 20, 5), FABRIC, 3)) is Membrane
+    assert type(membrane_of(sheet_of(blank, 3))) is PairedMembrane
+    assert type(membrane_of(sheet_of(rectangle(20, 20, 5), 3))) is Membrane
 
 
 def test_quadrilaterals_are_pairs_and_an_aligned_mesh_needs_none(tmp_path):
@@ -133,12 +139,15 @@ def test_off_axis_tension_on_a_free_mesh_does_not_lock():
     pytest.importorskip("gmsh")
     for angle, displacement, band in ((45, 30.0, 0.05), (30, 10.0, 0.25)):
         scene = qf.off_axis_tension(angle, displacement=displacement, size=10.4, mesh="free")
-        assert 1900 < len(scene.blank.triangles) < 2100
+        assert 1900 < len(scene.sheet.blank.triangles) < 2100
         result = qf.solve(scene, increment=displacement / 3, estimate=False)
         theory = OffAxisTension(320, 160, np.radians(angle))
-        force = theory.force(displacement, scene.fabric.shear.stress, scene.fabric.thickness)
+        fabric = scene.sheet.fabric
+        force = theory.force(displacement, fabric.shear.stress, fabric.thickness)
         assert_allclose(result.force, force, rtol=band)
-        assert any("do not follow" in why or "does not follow" in why for _, why in scene.model)
+        assert any(
+            "do not follow" in why or "does not follow" in why for _, why in scene.description
+        )
 
 
 def test_triangulation_covers_the_outline_with_its_holes():

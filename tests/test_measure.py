@@ -10,7 +10,9 @@ from quasiform.energy.membrane import Membrane
 from quasiform.fabric import Fabric
 from quasiform.net import outline
 from quasiform.net.blank import cut, rectangle, rotation
-from quasiform.result.measures import disc, edge_points, percentile, shear_gradient, shear_stability
+from quasiform.net.edges import disc, edge_points
+from quasiform.result.measures import percentile, shear_gradient, shear_stability
+from quasiform.unknowns import Unknowns
 
 OUTWARD = {"+x": (1.0, 0.0), "-x": (-1.0, 0.0), "+y": (0.0, 1.0), "-y": (0.0, -1.0)}
 L_SHAPE = outline.polygon([(-60, -40), (60, -40), (60, -10), (5, -10), (5, 40), (-60, 40)])
@@ -28,6 +30,10 @@ BLANKS = {
     ),
 }
 every_blank = pytest.mark.parametrize("name", BLANKS)
+
+
+def membrane_of(blank, fabric):
+    return Membrane(Unknowns().sheet(blank, fabric, 3))
 
 
 def positions(blank):
@@ -115,7 +121,7 @@ def test_shear_stability_is_the_least_curvature_of_the_energy_by_a_turn_of_a_fib
     """d²W/dε² of f_a + ε m and f_b + ε m', the normals in the plane; by differences."""
     blank = rectangle(40.0, 30.0, 8.0)
     fabric = Fabric.preset(law)
-    membrane, x = Membrane(blank, fabric, 3), sheared(blank, warp, weft, gamma)
+    membrane, x = membrane_of(blank, fabric), sheared(blank, warp, weft, gamma)
     f = membrane.fibres(x)
 
     def energy(a, b):
@@ -138,7 +144,7 @@ def test_shear_stability_is_the_least_curvature_of_the_energy_by_a_turn_of_a_fib
 def test_a_flat_sheet_is_stable_in_shear_and_a_compressed_one_is_not():
     blank = rectangle(40.0, 30.0, 8.0)
     fabric = Fabric()
-    membrane = Membrane(blank, fabric, 3)
+    membrane = membrane_of(blank, fabric)
     x = positions(blank).ravel()
     assert_allclose(shear_stability(membrane, x), fabric.shear.stiffness(0.0))
     assert (shear_stability(membrane, 0.99 * x) < 0).all()
@@ -174,6 +180,4 @@ def test_doubts_do_not_depend_on_the_thickness():
     blank = rectangle(40.0, 30.0, 8.0)
     thin, thick = Fabric(), replace(Fabric(), thickness=3.0)
     x = sheared(blank, 1e-3, 2e-3, 30.0)
-    assert_allclose(
-        shear_stability(Membrane(blank, thin, 3), x), shear_stability(Membrane(blank, thick, 3), x)
-    )
+    assert_allclose(*(shear_stability(membrane_of(blank, fabric), x) for fabric in (thin, thick)))

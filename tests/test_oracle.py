@@ -15,13 +15,14 @@ from skfem import (
     asm,
 )
 
-from quasiform.energy import Potential
 from quasiform.energy.bending import Bending
 from quasiform.energy.contact import BLEND, Contact, at_edges, at_nodes
 from quasiform.energy.membrane import Membrane
 from quasiform.fabric import Fabric
 from quasiform.net.blank import rectangle
+from quasiform.potential import Potential
 from quasiform.tools.shapes import Tool, ball
+from quasiform.unknowns import Unknowns
 
 BLANKS = {
     "aligned": rectangle(60.0, 40.0, 8.0),
@@ -43,11 +44,12 @@ def deformed(blank, dim):
 
 def assembled(term, x):
     """Gradient and full Hessian of a term, as `Potential` sums them."""
-    potential = Potential([term], np.ones(len(x), dtype=bool))
-    values, _ = potential.hessian(x, convex=False)
+    memory = (None,)
+    potential = Potential([term], np.ones(len(x), dtype=bool), memory)
+    values, _ = potential.hessian(x, memory, convex=False)
     p = potential.pattern
     upper = csr_array((values, p.indices, p.indptr), shape=p.shape).toarray()
-    return potential.gradient(x), upper + np.triu(upper, 1).T
+    return potential.gradient(x, memory), upper + np.triu(upper, 1).T
 
 
 def assert_same(actual, oracle):
@@ -102,7 +104,7 @@ def test_membrane(blank, dim, law):
 
     x = deformed(blank, dim)
     prior = basis.interpolate(x)
-    g, H = assembled(Membrane(blank, fabric, dim), x)
+    g, H = assembled(Membrane(Unknowns().sheet(blank, fabric, dim)), x)
     assert_same(g, residual.assemble(basis, x_prior=prior))
     assert_same(H, tangent.assemble(basis, x_prior=prior).toarray())
 
@@ -142,7 +144,7 @@ def test_bending(blank):
         K = K + jumps
     K = kron(K, np.eye(3)).toarray()
 
-    term = Bending(blank, fabric)
+    term = Bending(Unknowns().sheet(blank, fabric, 3))
     for x in (deformed(blank, 3), deformed(blank, 3) ** 2 / 30.0):
         g, H = assembled(term, x)
         assert_same(H, K)
@@ -214,7 +216,8 @@ def test_contact(blank, at):
     height = 100.0 + fabric.thickness / 2 - depth
     x = np.column_stack([blank.nodes, np.sqrt(height**2 - (blank.nodes**2).sum(1))]).ravel()
     prior = basis.interpolate(W @ x)
-    term = Contact(blank, fabric, Tool("sphere", sphere), len(x), at(blank))
+    sheet = Unknowns().sheet(blank, fabric, 3)
+    term = Contact(sheet, Tool("sphere", sphere), len(x), at(blank))
     assert 0.2 < (term.penetration(np.append(x, 0.0)) > 0).mean() < 1.0
     g, H = assembled(term, np.append(x, 0.0))
     assert_same(g[:-1], W.T @ residual.assemble(basis, x_prior=prior))

@@ -15,7 +15,8 @@ from quasiform.draw import plot
 from quasiform.draw.plot import save_pictures
 from quasiform.net.blank import rotation
 from quasiform.result.files import PICTURES
-from quasiform.scenes.scene_file import load
+from quasiform.result.sheet import FormedSheet
+from quasiform.scenes.scene_file import Region, load
 
 SCENES = {
     "formed": lambda: qf.forming(size=30, travel=10),
@@ -25,7 +26,10 @@ SCENES = {
     "cantilever": lambda: qf.cantilever(100, 7e-6, width=20, size=10),
 }
 DISC = replace(
-    load("hemisphere"), outline=shapely.Point(0, 0).buffer(110.0, 64), orientation=30.0, areas={}
+    load("hemisphere"),
+    blank=Region.of(shapely.Point(0, 0).buffer(110.0, 64)),
+    orientation=30.0,
+    areas={},
 )
 
 
@@ -36,7 +40,7 @@ def results():
 
 def pictures(result, folder):
     """All pictures, (height, width, 3), from 0 to 1."""
-    save_pictures(result, folder)
+    save_pictures(result.record, folder)
     shown = [imread(folder / name)[..., :3] for name in PICTURES]
     for picture in shown:
         assert picture.shape[1] == pytest.approx(16 / 2.54 * 200, abs=1)
@@ -47,7 +51,7 @@ def pictures(result, folder):
 def painted(result):
     """Faces of the sheet seen from above, from far to near: colours, and corners (n, 3, 2)."""
     axes = Figure().subplots()
-    plot._draw_from_above(axes, result, plot._colour_scale(result))
+    plot._draw_from_above(axes, result.record, plot.colour_scale([result.record]))
     sheet = axes.collections[0]
     corners = np.array([path.vertices[:3] for path in sheet.get_paths()])
     return sheet.get_facecolors()[:, :3], corners
@@ -81,7 +85,7 @@ def test_odd_parameters_are_left_alone(results, tmp_path):
     odd = {"size": "coarse", "length": None, "width": "160 mm", "angle": [45]}
     scene = replace(result.scene, name="$5_{$", parameters=odd)
     pictures(replace(result, scene=scene), tmp_path)
-    assert plot._off_axis_theory(replace(result, scene=scene)) is None
+    assert plot.off_axis_theory(replace(result, scene=scene).record) is None
 
 
 def test_mesh_across_the_fibres(results, tmp_path):
@@ -92,7 +96,7 @@ def test_mesh_across_the_fibres(results, tmp_path):
 
 def test_settings_of_matplotlib_are_left_alone(results, tmp_path):
     with matplotlib.rc_context({"font.size": 11}):
-        save_pictures(results["off-axis"], tmp_path)
+        save_pictures(results["off-axis"].record, tmp_path)
         assert matplotlib.rcParams["font.size"] == 11
 
 
@@ -100,17 +104,17 @@ def test_stopped_run_is_marked(results):
     result = results["off-axis"]
     stopped = replace(result, states=result.states[:2], reason="line search failed")
     for shown, times in ((result, 0), (stopped, 1)):
-        for axes in plot._history_figure(shown).axes:
+        for axes in plot.history_figure(shown.record).axes:
             marks = [line for line in axes.get_lines() if line.get_marker() == "X"]
             assert [list(m.get_xdata()) for m in marks].count([5.0]) == times
-    (axes, _) = plot._history_figure(stopped).axes
+    (axes, _) = plot.history_figure(stopped.record).axes
     assert "stopped at 5 mm" in axes.get_legend_handles_labels()[1]
     assert axes.get_xlim()[1] > 10
 
 
 def test_force_after_a_collapse_is_set_apart(results):
     result = replace(results["off-axis"], collapse={"travel_mm": 10.0})
-    (axes, _) = plot._history_figure(result).axes
+    (axes, _) = plot.history_figure(result.record).axes
     sound, after = axes.get_lines()[:2]
     assert sound.get_xdata().max() == 5.0
     assert (after.get_xdata().min(), after.get_xdata().max()) == (5.0, 10.0)
@@ -123,11 +127,11 @@ def test_collapsed_triangles_have_their_own_colour(results):
     middle = np.linalg.norm(result.scene.blank.nodes, axis=1).argmin()
     x[2 * middle] += 60.0  # past its neighbours
     folded = with_end(result, x)
-    assert 0 < plot._collapsed(folded).sum() <= 8
+    assert 0 < plot.collapsed(folded.sheet).sum() <= 8
     for shown in (result, folded):
         colours, _ = painted(shown)
         count = np.isclose(colours, to_rgb(plot.COLLAPSED)).all(1).sum()
-        assert count == plot._collapsed(shown).sum()
+        assert count == plot.collapsed(shown.sheet).sum()
 
 
 def test_doubts_are_painted_by_reason(results):
@@ -137,7 +141,7 @@ def test_doubts_are_painted_by_reason(results):
     result = replace(result, scene=replace(result.scene, fabric=fabric))
     doubts = result.doubts()
     assert set(plot.DOUBTS) == set(doubts)
-    figure = plot._doubt_figure(result)
+    figure = plot.doubt_figure(result.record)
     sheet, key = figure.axes
     colours = sheet.collections[0].get_facecolors()
     colours = colours[colours[:, 3] > 0, :3]
@@ -155,36 +159,37 @@ def test_doubts_are_painted_by_reason(results):
 
 
 def test_off_axis_closed_form(results):
-    u, gamma, force = plot._off_axis_theory(results["off-axis"])
+    u, gamma, force = plot.off_axis_theory(results["off-axis"].record)
     assert (u[-1], gamma[-1]) == pytest.approx((10.0, 7.41), abs=5e-3)
     assert force[-1] == pytest.approx(8.07, abs=5e-3)  # reference: exact, 45°, 320 x 160
-    assert plot._off_axis_theory(results["picture frame"]) is None
-    assert plot._off_axis_theory(results["cantilever"]) is None
+    assert plot.off_axis_theory(results["picture frame"].record) is None
+    assert plot.off_axis_theory(results["cantilever"].record) is None
 
 
 def test_closed_form_ends_at_its_limit():
     scene = qf.off_axis_tension(angle=30, displacement=5, size=40)
     result = replace(qf.solve(scene), scene=replace(scene, travel=60.0))
-    u, _, _ = plot._off_axis_theory(result)
+    u, _, _ = plot.off_axis_theory(result.record)
     assert u[-1] == pytest.approx(21.96, abs=0.05)
 
 
 def test_locking_force_gets_a_log_scale():
     axes = Figure().subplots()
     smooth = np.linspace(0.0, 20.0, 11)
-    assert not plot._scale_force(axes, smooth, smooth)
+    assert not plot.scale_force(axes, smooth, smooth)
     locking = np.append(smooth, [300.0, 4000.0])
-    assert plot._scale_force(axes, locking, locking)
+    assert plot.scale_force(axes, locking, locking)
     assert axes.get_yscale() == "log"
 
 
 def test_bowl_is_turned_over_not_mirrored(results):
     formed = results["formed"]
-    assert plot._is_bowl(formed, formed.positions())
-    assert not plot._is_bowl(formed, -formed.positions())
-    assert not plot._is_bowl(results["cantilever"], results["cantilever"].positions())
+    turned = replace(formed.sheet, points=-formed.positions())
+    assert plot.is_bowl(formed.record)
+    assert not plot.is_bowl(replace(formed.record, sheets=[turned]))
+    assert not plot.is_bowl(results["cantilever"].record)
     for turned_over, up in ((False, 1.0), (True, -1.0)):
-        view = plot._view(turned_over)
+        view = plot.view_from(turned_over)
         np.testing.assert_allclose(view @ view.T, np.eye(3), atol=1e-12)
         assert np.linalg.det(view) == pytest.approx(1.0)
         assert np.sign(view[1, 2]) == up  # z on the picture
@@ -192,8 +197,8 @@ def test_bowl_is_turned_over_not_mirrored(results):
 
 
 def test_colour_scale_is_round_and_covers_the_sheet(results):
-    assert plot._colour_scale(results["formed"]).norm.vmax == 10
-    assert plot._colour_scale(results["picture frame"]).norm.vmax == 60
+    assert plot.colour_scale([results["formed"].record]).norm.vmax == 10
+    assert plot.colour_scale([results["picture frame"].record]).norm.vmax == 60
 
 
 def test_fibre_lines_are_whole_and_evenly_spaced():
@@ -213,13 +218,14 @@ def test_rings_move_with_the_sheet():
     blank = qf.rectangle(100, 80, 10, orientation=20)
     A = np.array([[1.1, 0.3], [0.2, 0.9]])
     points = np.array([[3.0, 4.0], [-21.3, 17.7], [60.0, 0.0]])  # the last one is off the blank
-    carried = plot._carried(blank, blank.nodes @ A.T + [5.0, 6.0], points)
+    formed = np.pad(blank.nodes @ A.T + [5.0, 6.0], ((0, 0), (0, 1)))
+    carried = plot.formed_places(FormedSheet(formed, blank.triangles, blank.nodes), points)
     np.testing.assert_allclose(carried, points[:2] @ A.T + [5.0, 6.0], atol=1e-9)
 
 
 def test_grips_lie_outside_the_specimen(results):
     result = results["off-axis"]
-    grips = plot._draw_grips(Figure().subplots(), result, result.positions())
+    grips = plot.draw_grips(Figure().subplots(), result.sheet, result.gripped)
     left, right = sorted(grips, key=lambda outline: outline[:, 0].min())
     assert left[:, 0].max() == pytest.approx(-160.0)
     assert right[:, 0].min() == pytest.approx(170.0)
@@ -230,7 +236,7 @@ def test_grips_lie_outside_the_specimen(results):
 @pytest.mark.parametrize("name", ["formed", "formed, turned fibres"])
 def test_draw_in_stands_at_each_edge_of_a_mirrored_blank(results, name):
     axes = Figure().subplots()
-    plot._draw_draw_in_arrows(axes, results[name])
+    plot.draw_draw_in_arrows(axes, results[name].record)
     numbers = [text for text in axes.texts if text.get_text()]
     places = np.array([text.get_position() for text in numbers])
     assert len(numbers) == 4
@@ -266,21 +272,19 @@ def test_lines_behind_the_sheet_are_hidden():
 def test_lines_are_joined_and_not_snapped(results):
     axes = Figure().subplots()
     result = results["formed"]
-    plot._paint(
-        axes, result, result.positions(), np.ones((len(result.shear_angle), 4)), shaded=False
-    )
+    plot.paint(axes, result.sheet, result.positions(), np.ones((len(result.shear_angle), 4)))
     rim = axes.collections[-1]
     assert len(rim.get_paths()) == 1
-    assert len(rim.get_paths()[0].vertices) == len(plot._rim(result.blank)) + 1
+    assert len(rim.get_paths()[0].vertices) == len(plot.rim(result.sheet)) + 1
     with matplotlib.rc_context(plot.STYLE):
         assert rim.get_snap() is False
 
 
 def test_largest_draw_in_of_a_disc(results):
-    assert plot._largest_draw_in(results["formed"]) == []
+    assert plot.largest_draw_in(results["formed"].sheet) == []
     scene = qf.forming(DISC, size=20, travel=20)
     result = qf.solve(scene, estimate=False)
-    ((flat, inward, most, _),) = plot._largest_draw_in(result)
+    ((flat, inward, most, _),) = plot.largest_draw_in(result.sheet)
     np.testing.assert_allclose(inward, -flat / np.linalg.norm(flat), atol=0.05)
     assert np.linalg.norm(flat) == pytest.approx(110.0, rel=1e-3)
     turn = np.degrees(np.arctan2(flat[1], flat[0])) % 90.0

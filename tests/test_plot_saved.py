@@ -3,6 +3,7 @@
 import csv
 import json
 import shutil
+import webbrowser
 from dataclasses import replace
 
 import numpy as np
@@ -11,10 +12,9 @@ from numpy.testing import assert_allclose
 from PIL import Image
 
 import quasiform as qf
-from quasiform.console import cli
 from quasiform.console.cli import main
 from quasiform.draw import pictures, view
-from quasiform.result import saved
+from quasiform.result.record import Record
 
 
 @pytest.fixture(scope="module")
@@ -33,30 +33,32 @@ def folders(tmp_path_factory):
 @pytest.fixture(params=["dome", "strip"])
 def pair(request, folders):
     root, results = folders
-    return saved.read(root / request.param), results[request.param]
+    return Record.read(root / request.param), results[request.param]
 
 
 def test_what_was_saved_is_read_back(pair):
     run, result = pair
-    assert [s.travel for s in run.states] == [s.travel for s in result.states]
-    for k in (0, len(run.states) // 2, -1):
-        assert_allclose(run.positions(k), result.positions(k), atol=1e-9)
-        assert_allclose(run.at(k).shear_angle, result.shear_angles(k), atol=1e-9)
+    assert list(run.sheets.travels) == [s.travel for s in result.states]
+    for k in (0, len(run.sheets) // 2, -1):
+        sheet = run.sheets[k]
+        assert_allclose(sheet.points, result.positions(k), atol=1e-9)
+        assert_allclose(sheet.shear_angle, result.shear_angles(k), atol=1e-9)
         for reason, flag in result.doubts(k).items():
-            assert (run.doubts(k)[reason] == flag).all()
-        assert run.at(k).force == pytest.approx(result.states[k].force, abs=1e-4)
+            assert (sheet.doubts()[reason] == flag).all()
+        assert run.upto(k).force == pytest.approx(result.states[k].force, abs=1e-4)
     for family in ("warp", "weft"):
-        assert_allclose(getattr(run.blank, family), getattr(result.blank, family), atol=1e-9)
-    assert_allclose(run.blank.nodes, result.blank.nodes, atol=1e-9)
-    assert run.scene.dim == result.scene.dim
-    assert run.scene.contacts == bool(result.scene.contacts)
+        blank = run.sheet.blank
+        assert_allclose(getattr(blank, family), getattr(result.blank, family), atol=1e-9)
+    assert_allclose(run.sheet.flat, result.blank.nodes, atol=1e-9)
+    assert run.in_plane == (result.scene.dim == 2)
+    assert run.has_tools == bool(result.scene.contacts)
     assert run.locking == pytest.approx(np.degrees(np.arcsin(0.819)))
 
 
 def test_nearest_state(pair):
     run, result = pair
-    assert run.near(11.0).states[-1].travel == 10.0
-    assert run.near(1e9).states[-1].travel == result.scene.travel
+    assert run.near(11.0).travel == 10.0
+    assert run.near(1e9).travel == result.scene.travel
 
 
 def test_level_lines_of_a_linear_function_are_straight_and_whole():
@@ -80,7 +82,7 @@ def test_level_lines_on_the_lines_of_a_mesh_are_drawn_once():
 
 def test_pictures_of_two(folders, tmp_path):
     root, results = folders
-    notes = pictures.save([saved.read(root / name) for name in results], tmp_path, animate="gif")
+    notes = pictures.save([Record.read(root / name) for name in results], tmp_path, animate="gif")
     assert notes == []
     assert {path.name for path in tmp_path.iterdir()} == {
         *(f"{name}.png" for name in pictures.PICTURES),
@@ -97,13 +99,13 @@ def test_pictures_of_two(folders, tmp_path):
 @pytest.mark.skipif(not shutil.which("ffmpeg"), reason="needs ffmpeg")
 def test_the_travel_as_mp4(folders, tmp_path):
     root, _ = folders
-    pictures.save([saved.read(root / "dome")], tmp_path, only=["force"], animate="mp4")
+    pictures.save([Record.read(root / "dome")], tmp_path, only=["force"], animate="mp4")
     assert b"ftyp" in (tmp_path / "travel.mp4").read_bytes()[:16]
 
 
 def test_forces_of_a_coarser_mesh_are_hollow(folders):
     root, _ = folders
-    run = saved.read(root / "dome")
+    run = Record.read(root / "dome")
     rows = len(run.history["force_N"])
     sizes = np.where(np.arange(rows) < rows - 1, 20.0, 10.0)
     mixed = replace(run, history=run.history | {"size_mm": sizes})
@@ -120,8 +122,13 @@ def test_forces_of_a_coarser_mesh_are_hollow(folders):
 
 def test_one_scale_for_all_that_reaches_the_locking_angle(folders):
     root, results = folders
-    runs = [saved.read(root / name) for name in results]
-    assert pictures._end(runs) == pictures._end(runs[:1]) == pictures._end(runs[1:]) == 60
+    runs = [Record.read(root / name) for name in results]
+    assert (
+        pictures.scale_end(runs)
+        == pictures.scale_end(runs[:1])
+        == pictures.scale_end(runs[1:])
+        == 60
+    )
     figures = [
         pictures.PICTURES["shear_angle"](given, ["a", "b"][: len(given)], 60, [])
         for given in (runs, runs[:1])
@@ -135,7 +142,7 @@ def test_one_scale_for_all_that_reaches_the_locking_angle(folders):
 
 def test_tools_are_cut_where_they_are(folders):
     root, _ = folders
-    cuts, why_not = saved.tool_cuts(saved.read(root / "dome"))
+    cuts, why_not = pictures.tool_cuts(Record.read(root / "dome"))
     assert why_not == ""
     assert list(cuts) == ["punch, cut at z = 0", "die, cut at z = -20 mm"]
     for words, radius in (("punch", np.sqrt(75**2 - (75 - 40 + 1.004) ** 2)), ("die", 80.0)):
@@ -143,7 +150,7 @@ def test_tools_are_cut_where_they_are(folders):
         inside = (d < 0) if words == "punch" else (d > 0)
         area = inside.sum() * (x[1] - x[0]) * (y[1] - y[0])
         assert np.sqrt(area / np.pi) == pytest.approx(radius, rel=0.02)
-    assert saved.tool_cuts(saved.read(root / "strip")) == ({}, "")
+    assert pictures.tool_cuts(Record.read(root / "strip")) == ({}, "")
 
 
 def test_missing_scene_is_said(folders, tmp_path):
@@ -152,19 +159,21 @@ def test_missing_scene_is_said(folders, tmp_path):
     summary = json.loads((tmp_path / "dome" / "summary.json").read_text())
     summary["parameters"]["scene"] = "gone.toml"
     (tmp_path / "dome" / "summary.json").write_text(json.dumps(summary))
-    (note,) = pictures.save([saved.read(tmp_path / "dome")], tmp_path, only=["outline"])
-    assert note.startswith("dome: no tools under the outline: the scene is not there any more")
+    (note,) = pictures.save([Record.read(tmp_path / "dome")], tmp_path, only=["outline"])
+    assert note.startswith(
+        "dome: no tools under the outline: its scene was not found or has changed"
+    )
     assert (tmp_path / "outline.png").exists()
 
 
 def test_one_flat_blank_for_equal_ones(folders):
     root, _ = folders
-    run = saved.read(root / "dome")
-    order = np.roll(np.arange(len(run.blank.nodes)), 7)  # the same blank, numbered otherwise
-    other = replace(run)
-    other.__dict__["blank"] = replace(
-        run.blank, nodes=run.blank.nodes[order], triangles=np.argsort(order)[run.blank.triangles]
-    )
+    run = Record.read(root / "dome")
+    sheet = run.sheet
+    order = np.roll(np.arange(len(sheet.flat)), 7)  # the same blank, numbered otherwise
+    triangles = np.argsort(order)[sheet.triangles]
+    moved = replace(sheet, points=sheet.points[order], flat=sheet.flat[order], triangles=triangles)
+    other = replace(run, sheets=[moved])
     figure = pictures.PICTURES["outline"]([run, other], ["a", "b"], 60, [])
     dashed = [line for line in figure.axes[0].lines if line.get_linewidth() == 0.6]
     assert len(dashed) == 1
@@ -240,7 +249,7 @@ def test_view_is_that_of_the_result(pair):
     run, result = pair
     for state in (1, -1):
         (mine, *lines), (theirs, *their_lines) = (
-            view.figure(source, state).data for source in (run, result)
+            view.figure(source.upto(state)).data for source in (run, result.record)
         )
         for name in ("x", "y", "z", "intensity"):
             assert_allclose(mine[name], theirs[name], atol=1e-4)
@@ -248,8 +257,8 @@ def test_view_is_that_of_the_result(pair):
         assert len(lines) == len(their_lines)
         for line, their_line in zip(lines, their_lines, strict=True):
             assert_allclose(line.z, their_line.z, atol=1e-4)
-    assert view.figure(run).layout == view.figure(result).layout
-    assert view.words(run).split(", ", 2)[2] == view.words(result).split(", ", 2)[2]
+    assert view.figure(run).layout == view.figure(result.record).layout
+    assert view.words(run).split(", ", 2)[2] == view.words(result.record).split(", ", 2)[2]
     assert view.words(run.near(10)).endswith("not certified: only the end of a run is")
 
 
@@ -258,9 +267,11 @@ def test_view_command(folders, tmp_path, monkeypatch, capsys):
     root, _ = folders
     monkeypatch.chdir(tmp_path)
     opened = []
-    monkeypatch.setattr(cli.webbrowser, "open", lambda page: opened.append(page) or True)
+    monkeypatch.setattr(webbrowser, "open", lambda page: opened.append(page) or True)
     assert main(["view", str(root / "dome")]) == 0
-    assert capsys.readouterr().out.endswith("certified\nfile: dome.html\n")
+    out = capsys.readouterr().out
+    assert ", converged and certified" in out
+    assert out.endswith("\nfile: dome.html\n")
     assert main(["view", str(root / "dome"), "--travel", "11", "--open"]) == 0
     assert "travel 10 mm" in capsys.readouterr().out
     assert opened == [(tmp_path / "dome-2.html").as_uri()]

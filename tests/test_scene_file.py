@@ -1,27 +1,35 @@
 """Scene files: what is read, what it becomes, and that every mistake is told in one line."""
 
+import pickle
+import subprocess
+import sys
 import tomllib
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
+import jsonschema
 import numpy as np
 import pytest
 import shapely
 from numpy.testing import assert_allclose, assert_array_equal
 
+import quasiform
 from quasiform.checks import InputError
 from quasiform.scenes.scene_file import (
     FOLDER,
-    SHAPES,
-    STANDINGS,
     Gripper,
+    Region,
     SceneFile,
     Support,
     SurfaceFile,
     Where,
     built_in,
+    json_schema,
     load,
+    scene_toml,
 )
+from quasiform.scenes.scene_parts import SHAPES
+from quasiform.schema import STANDINGS
 from quasiform.tools.shapes import (
     Placed,
     Plane,
@@ -224,8 +232,8 @@ def test_tools_of_a_built_in_scene(name):
     assert (scene.gravity, scene.symmetry, scene.supports, scene.grippers) == (
         False,
         "auto",
-        [],
-        [],
+        (),
+        (),
     )
     assert (scene.increment, scene.rows) == (5.0, 5.0)
     assert scene.outputs == {"pictures": True, "increments": True}
@@ -262,14 +270,14 @@ def test_everything_that_can_be_said_is_read():
     assert (scene.increment, scene.rows) == (2.0, 4.0)
     assert scene.outputs == {"pictures": False, "increments": True}
     assert scene.areas == {"left": ((-40.0, 0.0), 8.0), "right": ((40.0, 0.0), 9.0)}
-    assert scene.supports == [
+    assert scene.supports == (
         Support(Where(side="-x"), "xyz", True),
         Support(Where(box=(-10.0, -20.0, 10.0, 20.0)), "zx", False),
-    ]
-    assert scene.grippers == [
+    )
+    assert scene.grippers == (
         Gripper(Where(side="+y"), (0.0, 1.0), tension=50.0),
         Gripper(Where(centre=(1.0, 2.0), radius=30.0), (0.6, -0.8), stiffness=0.5),
-    ]
+    )
     stamp, die, ring = scene.tools
     assert (stamp.name, stamp.role, stamp.motion) == ("stamp", "punch", "driven")
     assert (stamp.friction, stamp.z, stamp.place) == (0.2, -2.5, (3.0, 4.0))
@@ -396,6 +404,90 @@ def test_a_part_of_the_blank():
         assert_array_equal(np.flatnonzero(where.nodes(points, bounds)), numbers)
 
 
+# Written back, and described to an editor
+
+NEW = (Path(quasiform.__file__).parent / "console" / "new.toml").read_text(encoding="utf-8")
+TEXTS = {
+    **{name: (FOLDER / f"{name}.toml").read_text(encoding="utf-8") for name in built_in()},
+    "new": NEW,
+    "all of new": NEW.replace("\n#: ", "\n"),
+    "plain": BASE,
+    "everything": FULL,
+    "own mesh": BASE.replace(
+        'shape = "rectangle"\nlength = 300.0\nwidth = 200.0', 'mesh = "/m.msh"\nmesh_scale = 10.0'
+    ),
+    "surface": BASE.replace(
+        'shape = "round punch"\nradius = 50.0', 'file = "/a.stl"\nrotate = [0, 90, 0]'
+    ).replace("travel", 'law = "/cloth.toml"\ntravel'),
+}
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_a_scene_that_is_written_reads_the_same(name):
+    scene = read(TEXTS[name])
+    text = scene_toml(scene)
+    again = read(text, "again.toml")
+    assert again == scene
+    assert hash(again) == hash(scene)
+    assert again.outline.equals_exact(scene.outline, 0.0)
+    assert scene_toml(again) == text
+    assert tomllib.loads(text)["increments"].keys() == {"largest", "rows"}  # defaults too
+
+
+def test_a_scene_is_plain_data():
+    scene = read(FULL)
+    copy = pickle.loads(pickle.dumps(scene))
+    assert copy == scene
+    assert replace(scene, travel=30.0) != scene
+    ring = Region.of(scene.outline)
+    assert ring.polygon.equals(scene.outline)
+    own = replace(scene, tools=[replace(scene.tools[0], geometry=ball(3.0))])
+    assert own.tools[0].shape.radius == 3.0
+    with pytest.raises(InputError, match="stamp: a shape of your own cannot be written"):
+        scene_toml(own)
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_a_scene_fits_the_json_schema(name):
+    schema = json_schema()
+    jsonschema.Draft202012Validator.check_schema(schema)
+    jsonschema.validate(tomllib.loads(TEXTS[name]), schema)
+    jsonschema.validate(tomllib.loads(scene_toml(read(TEXTS[name]))), schema)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("radius = 50.0", "radios = 50.0"),
+        ("radius = 50.0", "radius = -50.0"),
+        ("radius = 50.0", "radius = { value = 50.0 }"),
+        ("round punch", "round bunch"),
+        ("mass = 5.0", "mass = '5'"),
+        ("travel = 40.0", ""),
+        ("travel = 40.0", "travel = 40.0\nsymmetry = 'non'"),
+    ],
+)
+def test_a_mistake_does_not_fit_the_json_schema(old, new):
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate(tomllib.loads(BASE.replace(old, new)), json_schema())
+
+
+def test_the_json_schema_says_units_and_defaults():
+    schema = json_schema()
+    assert schema["properties"]["travel"]["description"].endswith("; mm")
+    assert schema["properties"]["symmetry"]["default"] == "auto"
+    punch = schema["$defs"]["round_punch"]
+    assert punch["properties"]["mass"]["description"].endswith("; kg")
+    assert set(punch["required"]) == {"shape", "radius"}
+
+
+def test_schemas_load_only_where_a_file_is_read():
+    code = "import sys, quasiform; assert 'pydantic' not in sys.modules"
+    subprocess.run(
+        [sys.executable, "-c", code], check=True, cwd=Path(quasiform.__file__).parents[1]
+    )
+
+
 # What is refused
 
 RECTANGLE = 'shape = "rectangle"\nlength = 300.0\nwidth = 200.0\n'
@@ -445,7 +537,7 @@ REFUSED = {
     ),
     "blank shape number": ('shape = "rectangle"', "shape = 3", ["[blank] shape = 3", "one of"]),
     "blank number": ("width = 200.0", "", ["[blank] width missing"]),
-    "blank negative": ("width = 200.0", "width = -2", ["blank.width must be a positive", "-2"]),
+    "blank negative": ("width = 200.0", "width = -2", ["[blank] width must be a positive", "-2"]),
     "blank of another shape": (
         "width = 200.0",
         "width = 200.0\nradius = 9.0",
@@ -478,11 +570,15 @@ REFUSED = {
         "width = 200.0\ncentre = [1.0]",
         ["[blank] centre = [1.0]", "expected 2 numbers"],
     ),
-    "size": ("width = 200.0", "width = 200.0\nsize = 0", ["blank.size must be a positive number"]),
+    "size": (
+        "width = 200.0",
+        "width = 200.0\nsize = 0",
+        ["[blank] size must be a positive number"],
+    ),
     "orientation": (
         "width = 200.0",
         "width = 200.0\norientation = nan",
-        ["blank.orientation must be a number"],
+        ["[blank] orientation must be a number"],
     ),
     "mesh": (
         "width = 200.0",
@@ -511,9 +607,17 @@ REFUSED = {
         HOLE.replace("disc", "file"),
         ["[blank.holes 1] shape = 'file'", "rectangle, disc, polygon"],
     ),
-    "hole, second": ("", HOLE + HOLE.replace("20.0", "-1"), ["blank.holes 2.radius must be"]),
-    "holes no tables": ("width = 200.0", "width = 200.0\nholes = 3", ["holes", "[[holes]]"]),
-    "tool no table": ("[tools.punch]", "[tools]\npunch = 4\n[tools.x]", ["[tools.punch] missing"]),
+    "hole, second": ("", HOLE + HOLE.replace("20.0", "-1"), ["[blank.holes 2] radius must be"]),
+    "holes no tables": (
+        "width = 200.0",
+        "width = 200.0\nholes = 3",
+        ["blank.holes", "[[blank.holes]]"],
+    ),
+    "tool no table": (
+        "[tools.punch]",
+        "[tools]\npunch = 4\n[tools.x]",
+        ["tools.punch = 4: expected a table [tools.punch]"],
+    ),
     "tool key": (
         "radius = 50.0",
         "radius = 50.0\nradios = 1",
@@ -529,7 +633,7 @@ REFUSED = {
     "tool bad number": (
         "radius = 50.0",
         "radius = 'big'",
-        ["tools.punch.radius must be a positive number, got 'big'"],
+        ["[tools.punch] radius must be a positive number, got 'big'"],
     ),
     "tool of another shape": (
         "radius = 50.0",
@@ -560,7 +664,7 @@ REFUSED = {
     "friction": (
         "radius = 50.0",
         "radius = 50.0\nfriction = -0.1",
-        ["tools.punch.friction must be a number of at least zero, got -0.1"],
+        ["[tools.punch] friction must be a number of at least zero, got -0.1"],
     ),
     "place": (
         "radius = 50.0",
@@ -570,7 +674,7 @@ REFUSED = {
     "z": (
         "radius = 50.0",
         "radius = 50.0\nz = 'high'",
-        ["tools.punch.z must be a number", "'high'"],
+        ["[tools.punch] z must be a number", "'high'"],
     ),
     "mass of a punch": (
         "radius = 50.0",
@@ -588,7 +692,7 @@ REFUSED = {
         ["[tools.punch] mass, force and tilt belong"],
     ),
     "no load": ("mass = 5.0", "", ["[tools.holder] a free tool needs a mass or a force"]),
-    "mass": ("mass = 5.0", "mass = nan", ["tools.holder.mass must be", "nan"]),
+    "mass": ("mass = 5.0", "mass = nan", ["[tools.holder] mass must be", "nan"]),
     "tilt": ("mass = 5.0", "mass = 5.0\ntilt = 'no'", ["[tools.holder] tilt = 'no'", "true or f"]),
     "standing": (
         "mass = 5.0",
@@ -618,7 +722,7 @@ REFUSED = {
     "no value": (
         "mass = 5.0",
         "mass = { unit = 'kg', standing = 'assumed' }",
-        ["tools.holder.mass must be", "None"],
+        ["[tools.holder] mass must be", "None"],
     ),
     "file and shape": (
         "radius = 50.0",
@@ -674,7 +778,11 @@ REFUSED = {
         GRIPPER.replace("tension = 5.0", ""),
         ["[grippers 1] needs a tension or a stiffness"],
     ),
-    "gripper tension": ("", GRIPPER.replace("5.0", "-5.0"), ["grippers 1.tension must be", "-5.0"]),
+    "gripper tension": (
+        "",
+        GRIPPER.replace("5.0", "-5.0"),
+        ["[grippers 1] tension must be", "-5.0"],
+    ),
     "gripper direction": (
         "",
         GRIPPER + "direction = [0.0, 0.0]",
@@ -686,13 +794,17 @@ REFUSED = {
         ["[grippers 1] direction = None", "expected 2 numbers"],
     ),
     "area key": ("", AREA.replace("radius", "radios"), ["[areas.green] unknown key 'radios'"]),
-    "area no table": ("", "[areas]\ngreen = 5", ["[areas.green] missing"]),
+    "area no table": (
+        "",
+        "[areas]\ngreen = 5",
+        ["areas.green = 5: expected a table [areas.green]"],
+    ),
     "area centre": ("", AREA.replace("[0.0, 0.0]", "5"), ["[areas.green] centre = 5"]),
     "area no centre": ("", "[areas]\ngreen = { radius = 8.0 }", ["[areas.green] centre"]),
     "area standing": ("", AREA.replace(" }", ", standing = 'x' }"), ["areas.green: standing"]),
     "area unit": ("", AREA.replace(" }", ", unit = 'm' }"), ["areas.green", "unit must be 'mm'"]),
     "increments": ("", "[increments]\nlargst = 2.0", ["[increments] unknown key 'largst'"]),
-    "largest": ("", "[increments]\nlargest = 0.0", ["increments.largest must be a positive"]),
+    "largest": ("", "[increments]\nlargest = 0.0", ["[increments] largest must be a positive"]),
     "outputs": (
         "",
         "[outputs]\npicture = true",

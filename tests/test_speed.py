@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from quasiform.result.measures import discretisation_error
+from quasiform.result.estimate import discretisation_error
 from validation.speed import chart
 from validation.speed.rows import REFERENCE, Row, expected_seconds, judged, pareto, read, write
 from validation.speed.runs import PROBLEMS, plans

@@ -451,7 +451,7 @@ def test_plane_and_openings_have_no_box():
         assert getattr(shape, "box", None) is None
 
 
-def test_sharpest_radius_is_told():
+def test_sharpest_radius():
     assert Plane().sharpest == np.inf
     assert BOX.sharpest == 6.0
     assert TETRAHEDRON.sharpest == 8.0

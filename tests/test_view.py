@@ -29,7 +29,7 @@ def result(request):
 
 
 def test_mesh_is_the_sheet(result):
-    sheet = view.figure(result).data[0]
+    sheet = view.figure(result.record).data[0]
     assert np.column_stack([sheet.x, sheet.y, sheet.z]) == pytest.approx(
         result.positions(), abs=1e-4
     )
@@ -45,7 +45,7 @@ def test_mesh_is_the_sheet(result):
 
 
 def test_an_earlier_state_is_another_sheet(formed):
-    first, last = (view.figure(formed, state).data[0] for state in (0, -1))
+    first, last = (view.figure(formed.record.upto(state)).data[0] for state in (0, -1))
     assert np.ptp(first.z) < 1e-6 < 30 < np.ptp(last.z)
     assert np.abs(first.intensity).max() < 1e-6
 
@@ -53,13 +53,13 @@ def test_an_earlier_state_is_another_sheet(formed):
 def test_collapsed_triangles_are_marked(pulled, formed):
     collapsed = pulled.doubts()["collapsed"]
     assert collapsed.any()
-    traces = {trace.name: trace for trace in view.figure(pulled).data}
+    traces = {trace.name: trace for trace in view.figure(pulled.record).data}
     assert len(traces["collapsed"].i) == collapsed.sum()
-    assert "collapsed" not in [trace.name for trace in view.figure(formed).data]
+    assert "collapsed" not in [trace.name for trace in view.figure(formed.record).data]
 
 
 def test_nothing_lies_outside_the_box(result):
-    figure = view.figure(result)
+    figure = view.figure(result.record)
     for axis in "xyz":
         low, high = figure.layout.scene[f"{axis}axis"].range
         for trace in figure.data:
@@ -72,14 +72,14 @@ def test_nothing_lies_outside_the_box(result):
 
 
 def test_bowl_is_seen_as_a_dome(formed, pulled):
-    camera = view.figure(formed).layout.scene.camera
+    camera = view.figure(formed.record).layout.scene.camera
     assert camera.eye.z < 0 > camera.up.z
-    assert view.figure(pulled).layout.scene.camera.eye.z > 0
+    assert view.figure(pulled.record).layout.scene.camera.eye.z > 0
 
 
 def test_lines_lie_near_the_sheet(formed):
     nodes = formed.positions()
-    for trace in view.figure(formed).data[1:]:
+    for trace in view.figure(formed.record).data[1:]:
         points = np.column_stack([trace.x, trace.y, trace.z])
         points = points[~np.isnan(points).any(1)]
         away = np.linalg.norm(points[:, None] - nodes, axis=2).min(1)
@@ -87,25 +87,25 @@ def test_lines_lie_near_the_sheet(formed):
 
 
 def test_words(formed, pulled):
-    words = view.words(formed)
+    words = view.words(formed.record)
     assert "hemisphere-45" in words
     assert f"{np.abs(formed.shear_angle).max():.1f}°" in words
-    assert words.endswith(", certified")
-    assert "not certified: collapsed" in view.words(pulled)
+    assert ", converged and certified" in words
+    assert "converged, but not certified: collapsed" in view.words(pulled.record)
 
 
 def test_refusals(formed, monkeypatch, tmp_path):
     with pytest.raises(qf.InputError, match="cannot write to"):
-        view.save(formed, tmp_path / "none" / "view.html")
+        view.save(formed.record, tmp_path / "none" / "view.html")
     monkeypatch.setattr(view, "find_spec", lambda name: None)
     with pytest.raises(qf.InputError, match=r"quasiform\[report\]"):
-        view.figure(formed)
+        view.figure(formed.record)
 
 
 @pytest.mark.skipif(program() is None, reason="no Chromium on this machine")
 def test_browser_tells_the_shear_angle_under_the_pointer(formed, tmp_path):
     pytest.importorskip("websocket")
-    file = view.save(formed, tmp_path / "view.html")
+    file = view.save(formed.record, tmp_path / "view.html")
     with opened(file, tmp_path / "profile", 800, 600) as page:
         page.wait("document.querySelector('#sheet canvas') && document.querySelector('#sheet').on")
         page.value(

@@ -71,13 +71,13 @@ def _sheet(result: Result, folder: Path, name: str) -> tuple[str, str | None, st
     from quasiform.draw.plot import save_pictures
 
     with TemporaryDirectory(dir=folder) as pictures:
-        save_pictures(result, pictures)
+        save_pictures(result.record, pictures)
         Path(pictures, "shear_angle.png").replace(folder / f"{name}.png")
     interactive = None
     if view.available():
         interactive = f"{name}.json"
-        (folder / interactive).write_text(view.figure(result).to_json(), encoding="utf-8")
-    return view.words(result), interactive, f"{name}.png"
+        (folder / interactive).write_text(view.figure(result.record).to_json(), encoding="utf-8")
+    return view.words(result.record), interactive, f"{name}.png"
 
 
 if __name__ == "__main__":

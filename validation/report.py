@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from scipy.sparse import csr_array
 
-from quasiform.result.run import package_version
+from quasiform.result.summary import package_version
 from quasiform.solve.linear import linear_solver
 
 from . import report_html

@@ -4,12 +4,13 @@
     print(comparison.table())
     comparison.save("comparison/")
 
-One file an idea: `sheet` (what is compared), `read`, `mesh_file` and `table` (from files), `place`
-(unfolded, shifted and turned), `mapping` (a field at another mesh's points), `comparison` (the
-differences and their bands), `picture`.
+One file an idea: `read`, `shells` and `table` (from files), `place` (unfolded, shifted and turned),
+`mapping` (a field at another mesh's points), `differences` (rows with their bands), `comparison`,
+`picture`.
 """
 
-from .comparison import FILES, Comparison, Row, compare
+from .comparison import FILES, Comparison, compare
+from .differences import Row
 from .read import Reading
 
 __all__ = ["FILES", "Comparison", "Reading", "Row", "compare"]

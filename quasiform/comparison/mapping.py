@@ -1,4 +1,4 @@
-"""Carry a field from one mesh to the points of another.
+"""Map a field from one sheet to the points of another.
 
 Where both sheets know their flat coordinates, a point is found by its material place, X: linear
 interpolation on the Delaunay triangulation of the flat points. Else by the closest point of the
@@ -11,25 +11,17 @@ from __future__ import annotations
 from types import ModuleType
 
 import numpy as np
-from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
-from scipy.spatial import cKDTree
 
-from ..checks import InputError
-from ..tools.surface_file import optional
-from .sheet import Sheet
+from ..checks import InputError, optional
+from ..result.sheet import FormedSheet
 
 FloatArray = np.ndarray
+ANGLE = "shear_angle"
 WAYS = {"flat": "by flat coordinates", "formed": "by the closest point of the formed surface"}
 
 
-def way(by: str, one: Sheet, other: Sheet) -> str:
-    """How two sheets are matched: "flat" or "formed".
-
-    Raises
-    ------
-    InputError
-        If they cannot be matched in the way asked for, or in any.
-    """
+def way(by: str, one: FormedSheet, other: FormedSheet) -> str:
+    """How two sheets are matched, "flat" or "formed"; InputError if they cannot be so."""
     can = {
         "flat": one.flat is not None and other.flat is not None,
         "formed": one.points is not None and other.points is not None,
@@ -46,45 +38,46 @@ def way(by: str, one: Sheet, other: Sheet) -> str:
     return by
 
 
-def carried(
-    source: Sheet, target: Sheet, by: str, within: float | None = None
-) -> tuple[FloatArray, FloatArray]:
-    """Shear angle of one sheet at the points of another.
+def spacing(sheet: FormedSheet) -> float:
+    """Median distance of a point to its nearest neighbour on the flat sheet, mm."""
+    from scipy.spatial import cKDTree
 
-    Parameters
-    ----------
-    source, target : Sheet
-    by : "flat" or "formed"
-    within : float, optional
-        mm; the spacing of the source's points if not given.
+    if len(sheet.rest) < 2:
+        raise InputError("a field needs more than one point")
+    return float(np.median(cKDTree(sheet.rest).query(sheet.rest, k=2)[0][:, 1]))
 
-    Returns
-    -------
-    gamma : (n_target,) array
-        Degrees; nan where there is no point of the source within reach.
-    distance : (n_target,) array
-        mm, from the source: of the nearest point (flat), of its surface (formed).
+
+def mapped(
+    source: FormedSheet, target: FormedSheet, by: str, within: float | None = None
+) -> FloatArray:
+    """(n_target,) shear angle of one sheet at the points of another, degrees.
+
+    nan at points farther than `within` (mm; the spacing of the source's points if not given).
     """
-    reach = source.spacing if within is None else within
+    from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
+    from scipy.spatial import cKDTree
+
+    reach, gamma = spacing(source), source.point_fields[ANGLE]
     if by == "flat":
-        known = np.isfinite(source.gamma)
-        X, values = source.flat[known], source.gamma[known]
+        known = np.isfinite(gamma)
+        X, values = source.flat[known], gamma[known]
         distance, _ = cKDTree(X).query(target.flat)
-        gamma = LinearNDInterpolator(X, values)(target.flat)
-        outside = np.isnan(gamma)
-        gamma[outside] = NearestNDInterpolator(X, values)(target.flat[outside])
+        found = LinearNDInterpolator(X, values)(target.flat)
+        outside = np.isnan(found)
+        found[outside] = NearestNDInterpolator(X, values)(target.flat[outside])
         # inside a mesh, a point is no farther from a node than the nodes are from each other
-        gamma[distance > max(reach, source.spacing)] = np.nan
-        return gamma, distance
-    if source.triangles is None:
-        raise InputError("closest points need triangles")
-    gamma, distance = on_surface(source.gamma, source, target.points)
-    gamma[distance > reach] = np.nan
-    return gamma, distance
+        reach = max(reach, reach if within is None else within)
+    else:
+        if not len(source.triangles):
+            raise InputError("closest points need triangles")
+        found, distance = on_surface(gamma, source, target.points)
+        reach = reach if within is None else within
+    found[distance > reach] = np.nan
+    return found
 
 
 def on_surface(
-    values: FloatArray, sheet: Sheet, points: FloatArray
+    values: FloatArray, sheet: FormedSheet, points: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Values (n_nodes, ...) of a sheet at its closest points to (n, 3) points; the distances."""
     distance, corners, nearest = closest(points, sheet)
@@ -93,7 +86,7 @@ def on_surface(
     return np.einsum("nk,nk...->n...", shares, values[corners]), distance
 
 
-def closest(points: FloatArray, sheet: Sheet) -> tuple[FloatArray, np.ndarray, FloatArray]:
+def closest(points: FloatArray, sheet: FormedSheet) -> tuple[FloatArray, np.ndarray, FloatArray]:
     """Closest points of a formed surface: distance (n,), corners (n, 3) and place (n, 3)."""
     squared, triangle, nearest = _igl().point_mesh_squared_distance(
         np.ascontiguousarray(points, dtype=float),

@@ -15,41 +15,44 @@ References
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-import shapely
-from scipy.optimize import least_squares
 
 from ..checks import InputError
 from ..net.blank import rotation
-from .mapping import closest
-from .sheet import Sheet
+from ..result.sheet import FormedSheet
+from .mapping import ANGLE, closest, spacing
+
+if TYPE_CHECKING:
+    import shapely
 
 FloatArray = np.ndarray
 ON_PLANE = 1e-3  # of the spacing of the points
 STARTS = 24
+TRIED = 8  # of the starts, the best ones
 MOST = 300  # points of each sort that are fitted
 SCALE = np.array([1.0, 1.0, 1.0, 0.01])  # mm, and the turn that moves an edge as far
 AS_GOOD = 1.05  # fits within this factor (and 0.01 mm) are equal
 
 
-def unfolded(sheet: Sheet, mirror: tuple[str, ...], signed: bool) -> Sheet:
-    """Mirror a part of a sheet into the whole.
+def rim(sheet: FormedSheet) -> shapely.LineString | None:
+    """Outer outline of the formed sheet seen along z, mm; without its holes."""
+    import shapely
 
-    Parameters
-    ----------
-    sheet : Sheet
-        On one side of the planes.
-    mirror : tuple of "x" and "y"
-        Planes x = 0, y = 0.
-    signed : bool
-        Whether γ has its sign; at the planes it is then zero.
+    if sheet.contour is not None:
+        return shapely.LineString(sheet.contour)
+    if not len(sheet.triangles) or sheet.points is None:
+        return None
+    return shapely.LineString(sheet.outline[0][:, :2])
 
-    Raises
-    ------
-    InputError
-        If the sheet lies on both sides of a plane.
+
+def unfolded(sheet: FormedSheet, mirror: tuple[str, ...], signed: bool) -> FormedSheet:
+    """Mirror a part of a sheet at the planes x = 0, y = 0 into the whole.
+
+    Where γ is `signed`, it is zero at the planes. A sheet on both sides of one raises InputError.
     """
     for plane in mirror:
         axis = "xy".index(plane)
@@ -57,55 +60,55 @@ def unfolded(sheet: Sheet, mirror: tuple[str, ...], signed: bool) -> Sheet:
     return sheet
 
 
-def _mirrored(sheet: Sheet, axis: int, signed: bool) -> Sheet:
-    where = sheet.places if sheet.flat is None else sheet.flat
-    along = where[:, axis]
-    on = np.abs(along) <= ON_PLANE * sheet.spacing
-    _check_side(along, ON_PLANE * sheet.spacing, axis)
-    off = np.flatnonzero(~on)
-    number = np.arange(len(where))
-    number[off] = len(where) + np.arange(len(off))
+def _mirrored(sheet: FormedSheet, axis: int, signed: bool) -> FormedSheet:
+    along, slack = sheet.rest[:, axis], ON_PLANE * spacing(sheet)
+    _check_side(along, slack, axis)
+    on = np.abs(along) <= slack
+    number = np.arange(len(along))
+    number[~on] = len(along) + np.arange((~on).sum())
+    sign, meshed = -1.0 if signed else 1.0, len(sheet.triangles) > 0
 
     def both(values: FloatArray | None) -> FloatArray | None:
         if values is None:
             return None
-        flip = np.ones(values.shape[1])
-        flip[axis] = -1.0
-        return np.vstack([values, values[off] * flip])
+        flip = np.where(np.arange(values.shape[1]) == axis, -1.0, 1.0)
+        return np.vstack([values, values[~on] * flip])
 
-    gamma = sheet.gamma
-    if gamma is not None:
-        own = np.where(on, 0.0, gamma) if signed and sheet.triangles is not None else gamma
-        gamma = np.append(own, (-1.0 if signed else 1.0) * gamma[off])
-    triangles = sheet.triangles
-    if triangles is not None:
-        triangles = np.vstack([triangles, number[triangles][:, ::-1]])
-    by_triangle = sheet.by_triangle
-    if by_triangle is not None:
-        by_triangle = np.append(by_triangle, (-1.0 if signed else 1.0) * by_triangle)
-    return Sheet(both(sheet.points), both(sheet.flat), triangles, gamma, by_triangle=by_triangle)
+    def angle(values: FloatArray) -> FloatArray:
+        own = np.where(on, 0.0, values) if signed and meshed else values
+        return np.append(own, sign * values[~on])
+
+    return FormedSheet(
+        both(sheet.points),
+        np.vstack([sheet.triangles, number[sheet.triangles][:, ::-1]]),
+        both(sheet.flat),
+        {name: angle(v) for name, v in sheet.point_fields.items() if name == ANGLE},
+        {name: np.append(v, sign * v) for name, v in sheet.cell_fields.items() if name == ANGLE},
+        sheet.name,
+        sheet.travel,
+    )
 
 
-def _doubled(sheet: Sheet, axis: int) -> Sheet:
+def _doubled(sheet: FormedSheet, axis: int) -> FormedSheet:
     """Mirror a contour; what of it runs along the plane is no outline and is left out."""
-    points = shapely.get_coordinates(sheet.contour)
-    size = np.ptp(points, axis=0).max()
-    near, far = 1e-3 * size, 2 * np.abs(points).max()
-    _check_side(points[:, axis], near, axis)
-    side = 1.0 if points[:, axis].max() > near else -1.0
+    import shapely
+
+    size = np.ptp(sheet.contour, axis=0).max()
+    near, far = 1e-3 * size, 2 * np.abs(sheet.contour).max()
+    _check_side(sheet.contour[:, axis], near, axis)
+    side = 1.0 if sheet.contour[:, axis].max() > near else -1.0
     low, high = np.full(2, -far), np.full(2, far)
     (low if side > 0 else high)[axis] = side * near
-    line = shapely.line_merge(sheet.contour.intersection(shapely.box(*low, *high)))
+    line = shapely.line_merge(rim(sheet).intersection(shapely.box(*low, *high)))
     points = shapely.get_coordinates(line)
     ends = np.abs(points[[0, -1], axis]) <= 2 * near
     if line.geom_type != "LineString" or not ends.any():
         plane = "xy"[axis]
         raise InputError(f"mirror {plane}: the contour does not end at {plane} = 0")
     points = points if ends[1] else points[::-1]
-    flip = np.ones(2)
-    flip[axis] = -1.0
-    line = np.vstack([points, (points * flip)[::-1], points[:1] if ends.all() else points[:0]])
-    return replace(sheet, contour=shapely.LineString(line))
+    flip = np.where(np.arange(2) == axis, -1.0, 1.0)
+    last = points[:1] if ends.all() else points[:0]
+    return replace(sheet, contour=np.vstack([points, (points * flip)[::-1], last]))
 
 
 def _check_side(along: FloatArray, slack: float, axis: int) -> None:
@@ -117,107 +120,88 @@ def _check_side(along: FloatArray, slack: float, axis: int) -> None:
         )
 
 
-def aligned(sheet: Sheet, result: Sheet, turning: bool) -> tuple[Sheet, str]:
-    """Move a reference to where it fits the result best.
+def aligned(sheet: FormedSheet, result: FormedSheet, turning: bool) -> tuple[FormedSheet, str]:
+    """Move a reference to where it fits the result best, turned about z or only shifted.
 
-    Parameters
-    ----------
-    sheet, result : Sheet
-    turning : bool
-        Whether it may be turned about z, not only shifted.
-
-    Returns
-    -------
-    sheet : Sheet
-    words : str
-        The motion, and what is left of the distances.
-
-    Raises
-    ------
-    InputError
-        If there is nothing to fit.
+    Returns the sheet, and the motion with what is left of the distances as text. Raises InputError
+    if there is nothing to fit.
     """
-    outlines = sheet.outline, result.outline
-    rim = body = None
-    if outlines[0] is not None and outlines[1] is not None:
+    import shapely
+
+    own, line = rim(sheet), rim(result)
+    edge = body = None
+    if own is not None and line is not None:
         at = np.linspace(0.0, 1.0, MOST, endpoint=False)
-        rim = shapely.get_coordinates(
-            shapely.line_interpolate_point(outlines[0], at, normalized=True)
-        )
-    if sheet.points is not None and result.points is not None and result.triangles is not None:
+        edge = shapely.get_coordinates(shapely.line_interpolate_point(own, at, normalized=True))
+    if sheet.points is not None and result.points is not None and len(result.triangles):
         body = sheet.points[:: max(1, len(sheet.points) // MOST)]
-    if rim is None and body is None:
+    if edge is None and body is None:
         raise InputError("nothing to align by: the reference has no formed points and no outline")
-    plan = rim if rim is not None else body[:, :2]
-    goal = shapely.get_coordinates(outlines[1]) if rim is not None else result.points[:, :2]
+    plan = edge if edge is not None else body[:, :2]
+    goal = shapely.get_coordinates(line) if edge is not None else result.points[:, :2]
     middle, aim = (0.5 * (p.min(0) + p.max(0)) for p in (plan, goal))
     rise = 0.0 if body is None else float(np.max(result.points[:, 2]) - np.max(body[:, 2]))
 
     def moved(points: FloatArray, motion: FloatArray) -> FloatArray:
-        """Turn (n, 2) points about their middle and shift them."""
-        return (points - middle) @ rotation(np.degrees(motion[3])).T + aim + motion[:2]
+        """Turn points about their middle and shift them."""
+        xy = (points[:, :2] - middle) @ rotation(np.degrees(motion[3])).T + aim + motion[:2]
+        return np.column_stack([xy, points[:, 2:] + rise + motion[2]])
 
-    def off(motion: FloatArray, sorts: str) -> FloatArray:
+    def off(motion: FloatArray, with_body: bool) -> FloatArray:
+        """Distances of outline and surface at a motion: shift in x, y, z (mm), and turn (rad)."""
         parts = []
-        if rim is not None and "rim" in sorts:
-            p = moved(rim, motion)
-            line = outlines[1]
+        if edge is not None:
+            p = moved(edge, motion)
             along = shapely.line_locate_point(line, shapely.points(p))
             on = shapely.get_coordinates(shapely.line_interpolate_point(line, along))
             parts.append((p - on).ravel() / np.sqrt(len(p)))
-        if body is not None and "body" in sorts:
-            p = np.column_stack([moved(body[:, :2], motion), body[:, 2] + rise + motion[2]])
-            _, _, nearest = closest(p, result)
-            parts.append((p - nearest).ravel() / np.sqrt(len(p)))
+        if with_body:
+            p = moved(body, motion)
+            parts.append((p - closest(p, result)[2]).ravel() / np.sqrt(len(p)))
         return np.concatenate(parts)
 
-    def fitted(start: FloatArray, sorts: str) -> tuple[float, FloatArray]:
-        """Root mean square of the distances at their least near a motion, and the motion there."""
-        free = np.array([True, True, "body" in sorts and body is not None, turning])
-
-        def motion_of(q: FloatArray) -> FloatArray:
-            motion = start.copy()
-            motion[free] = q
-            return motion
-
-        best = least_squares(
-            lambda q: off(motion_of(q), sorts), start[free], x_scale=SCALE[free], xtol=1e-9
-        )
-        motion = motion_of(best.x)
-        motion[3] = (motion[3] + np.pi) % (2 * np.pi) - np.pi
-        return float(np.sqrt(2 * best.cost)), motion
-
-    sorts = "rim" if rim is not None else "body"
-    angles = np.radians(360.0 / STARTS * (np.arange(STARTS) - STARTS // 2)) if turning else [0.0]
-    starts = sorted(
-        (np.array([0.0, 0.0, 0.0, angle]) for angle in angles),
-        key=lambda start: float((off(start, sorts) ** 2).sum()),
+    turns = np.radians(360.0 / STARTS * (np.arange(STARTS) - STARTS // 2)) if turning else [0.0]
+    rms, motion, several = _best(lambda motion: off(motion, edge is None), turns, edge is None)
+    if edge is not None and body is not None:
+        free = np.array([True, True, True, turning])
+        rms, motion = _fitted(lambda motion: off(motion, True), motion, free)
+    shift = moved(np.zeros((1, 2 if body is None else 3)), motion)[0]
+    words = (
+        f"turned by {np.degrees(motion[3]):.3g}° about z and shifted by "
+        f"({', '.join(f'{v:.3g}' for v in shift)}) mm, leaving {rms:.3g} mm (root mean square)"
+        f"{'; other turns fit as well, the smallest was taken' * several}"
     )
-    found = [fitted(start, sorts) for start in starts[:8]]
+    names = ("points", "flat", "contour")
+    given = {name: getattr(sheet, name) for name in names}
+    placed = {name: moved(p, motion) for name, p in given.items() if p is not None}
+    return replace(sheet, **placed), words
+
+
+Off = Callable[[FloatArray], FloatArray]
+
+
+def _best(off: Off, turns: FloatArray, lifted: bool) -> tuple[float, FloatArray, bool]:
+    """Best fit from any of the turns: distance, motion, and whether other turns fit as well."""
+    starts = [np.array([0.0, 0.0, 0.0, turn]) for turn in turns]
+    starts.sort(key=lambda start: float((off(start) ** 2).sum()))
+    free = np.array([True, True, lifted, len(turns) > 1])
+    found = [_fitted(off, start, free) for start in starts[:TRIED]]
     least = min(rms for rms, _ in found)
     equal = [fit for fit in found if fit[0] <= AS_GOOD * least + 0.01]
     rms, motion = min(equal, key=lambda fit: (round(abs(fit[1][3]), 3), fit[0]))
-    if sorts == "rim" and body is not None:
-        rms, motion = fitted(motion, "rim and body")
-    turn, shift = float(np.degrees(motion[3])), moved(np.zeros((1, 2)), motion)[0]
-    lift = rise + motion[2] if body is not None else 0.0
+    return rms, motion, len({round(abs(float(fit[1][3])), 2) for fit in equal}) > 1
 
-    def placed(points: FloatArray) -> FloatArray:
-        xy = points[:, :2] @ rotation(turn).T + shift
-        return xy if points.shape[1] == 2 else np.column_stack([xy, points[:, 2] + lift])
 
-    contour = sheet.contour
-    words = (
-        f"turned by {turn:.3g}° about z and shifted by ({shift[0]:.3g}, {shift[1]:.3g}"
-        + (f", {lift:.3g}) mm" if body is not None else ") mm")
-        + f", leaving {rms:.3g} mm (root mean square)"
-    )
-    others = len({round(abs(float(fit[1][3])), 2) for fit in equal}) > 1
-    if others:
-        words += "; other turns fit as well, the smallest was taken"
-    return replace(
-        sheet,
-        points=None if sheet.points is None else placed(sheet.points),
-        flat=None if sheet.flat is None else placed(sheet.flat),
-        contour=None if contour is None else shapely.transform(contour, placed),
-    ), words
+def _fitted(off: Off, start: FloatArray, free: np.ndarray) -> tuple[float, FloatArray]:
+    """Root mean square of the distances at their least near a motion, and the motion there."""
+    from scipy.optimize import least_squares
+
+    def motion_of(q: FloatArray) -> FloatArray:
+        motion = start.copy()
+        motion[free] = q
+        return motion
+
+    best = least_squares(lambda q: off(motion_of(q)), start[free], x_scale=SCALE[free], xtol=1e-9)
+    motion = motion_of(best.x)
+    motion[3] = (motion[3] + np.pi) % (2 * np.pi) - np.pi
+    return float(np.sqrt(2 * best.cost)), motion

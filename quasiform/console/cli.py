@@ -1,332 +1,677 @@
-"""The command line: what each command does with its arguments, and what it says.
+"""The command line, declared from typed functions: each command is one function.
 
-Exit status: 0 the goal was reached; 1 `compare` found a band missed; 2 wrong input, with one line;
-3 the run ended early.
+A command imports what it uses when it runs, so that `quasiform --help` is quick. Exit status: 0 the
+goal was reached; 1 `compare` or `validate` found a band missed; 2 wrong input, with one line; 3 the
+run stopped early.
 """
 
 from __future__ import annotations
 
-import argparse
-import csv
 import os
 import re
 import sys
-import time
-import webbrowser
-from collections.abc import Callable, Sequence
-from contextlib import chdir
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
+from dataclasses import asdict, astuple, dataclass
+from importlib import import_module
+from importlib.util import module_from_spec, spec_from_file_location
 from itertools import count
+from math import isfinite
 from pathlib import Path
-from types import ModuleType
-from typing import Any
+from time import perf_counter
+from typing import Annotated, Any, Literal, get_origin
 
-import numpy as np
+from cyclopts import App, CycloptsError, Group, Parameter, Token
+from cyclopts.exceptions import CoercionError, UnknownOptionError, UnusedCliTokensError
+from cyclopts.validators import LimitedChoice, Number
 
-from ..checks import InputError
-from ..comparison import FILES as COMPARISON_FILES
-from ..comparison import compare
-from ..draw import pictures, view
-from ..handover import abaqus_deck, export, flat_pattern
-from ..handover.handover import FILES as HANDOVER_FILES
-from ..handover.handover import NOTES as HANDOVER_NOTES
-from ..handover.pattern import FILES as PATTERN_FILES
-from ..handover.pattern import NOT_MODELLED
-from ..identification import Identification, identify
-from ..identification.campaign import METHODS, Campaign, load
-from ..identification.identified import FILES as MATERIAL_FILES
-from ..model import Scene
-from ..result import saved
-from ..result.files import FILES, INCREMENTS, RESUME, check_folder, replaced
-from ..result.run import Result
-from ..scenes.fabric_tests import off_axis_tension
-from ..scenes.forming import forming
-from ..scenes.scene_file import built_in
-from ..solve import Journal, refine, solve, spread
-from . import completion, doctor, forecast
-from .arguments import commands, parse
-from .progress import LiveProgress
+import quasiform as qf
 
-# What a scene is made from, of the arguments of its command; kept for `resume`
-SCENES: dict[str, Callable[[argparse.Namespace], Scene]] = {
-    "oat": lambda given: off_axis_tension(
-        given.angle, given.law, given.length, given.width, given.displacement, given.size
-    ),
-    "form": lambda given: forming(
-        given.scene, given.orientation, given.law, given.size, given.travel, given.symmetry
-    ),
-}
-RECIPE = (
-    *("command", "directory", "angle", "law", "length", "width", "displacement", "size"),
-    *("scene", "orientation", "travel", "symmetry", "accuracy", "increment", "linear", "seeds"),
+from ..checks import InputError, check_number, suggestion
+from . import terminal
+
+app = App(
+    name="quasiform",
+    help="Implicit, quasi-static forming of dry 0°/90° biaxial non-crimp fabrics.",
+    help_epilogue="Lengths in mm, forces in N, angles in degrees. Exit status: 0 completed, 1 a "
+    "band missed, 2 wrong input, 3 stopped early.",
+    help_format="plaintext",
+    default_parameter=Parameter(negative=(), json_list=False, json_dict=False),
+    suppress_keyboard_interrupt=False,
 )
-
-WIDE = 2.0  # degrees: an error of the shear angle that is pointed out
-SPREAD = ("force_N", "shear_angle_deg", "shear_angle_mean_deg")  # what is said of perturbed starts
-
-COMPARED_BY = (
-    *("field", "angle", "radians", "signed", "orientation", "values", "coordinates", "scale"),
-    *("history", "force_factor", "travel", "reference_travel", "by", "within", "align", "mirror"),
-    *("standing", "band_angle", "band_outline", "band_force"),
-)
+app.register_install_completion_command(help="Add completion to your shell's startup file.")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit status."""
+    words, status = sys.argv[1:] if argv is None else list(argv), 2
     try:
-        return _run(parse(sys.argv[1:] if argv is None else argv))
+        if not words:
+            names = [name for name in app if not name.startswith("-")]
+            raise InputError(f"expected a command: {' or '.join(names)} (see --help)")
+        done = app(words, print_error=False, exit_on_error=False, result_action="return_value")
+        return done or 0
+    except CycloptsError as error:
+        message = str(InputError(_one_line(error)))
     except InputError as error:
-        print("quasiform:", " ".join(str(error).split()), file=sys.stderr)
-        return 2
+        message = str(error)
     except MemoryError:
-        print("quasiform: not enough memory: choose a larger --size", file=sys.stderr)
-        return 2
+        message = "not enough memory: choose a larger --size"
     except KeyboardInterrupt:
-        print("quasiform: interrupted: only what was written before is kept", file=sys.stderr)
-        return 3
+        message, status = "interrupted: only what was written before is kept", 3
+    print("quasiform:", message, file=sys.stderr)
+    return status
 
 
-def _run(arguments: argparse.Namespace) -> int:
-    return COMMANDS[arguments.command](arguments)
+def _one_line(error: CycloptsError) -> str:
+    """What is wrong, and what was probably meant; where nothing is near, what there is."""
+    if isinstance(error, UnknownOptionError):
+        names = [n for a in error.argument_collection for n in a.names if n.startswith("-")]
+        option = error.token.keyword or error.token.value
+        return f"unknown option '{option}': {suggestion(option, names)}"
+    if isinstance(error, UnusedCliTokensError) and error.unused_tokens:
+        return f"unexpected argument '{error.unused_tokens[0]}'"
+    if isinstance(error, CoercionError) and error.argument and error.token and not error.msg:
+        if choices := error.argument.get_choices(force=True):
+            value = error.token.value
+            return f"{error.token.keyword}: unknown value '{value}': {suggestion(value, choices)}"
+    return str(error)
 
 
-def _solve(arguments: argparse.Namespace) -> int:
-    scene = SCENES[arguments.command](arguments)
-    if arguments.dry_run:
-        _say(_describe(scene))
-        one_mesh = getattr(arguments, "size", None) is not None
-        seeds = getattr(arguments, "seeds", None) or 0
-        found = forecast.meshes(scene, one_mesh, arguments.linear, seeds)
-        _say(f"  expected time: {forecast.words(found)}")
-        if getattr(arguments, "accuracy", None):
-            _say("  and longer where --accuracy asks for a finer mesh than that")
-        return 0
-    recipe = {name: value for name, value in vars(arguments).items() if name in RECIPE}
-    recipe["directory"] = str(Path.cwd())
-    folder = arguments.out or _unused(_case(scene.name))
-    journal = Journal(folder, recipe, force=arguments.force)
-    return _record(scene, arguments, journal)
+# How the words of an option are read
 
 
-def _resume(arguments: argparse.Namespace) -> int:
-    journal = Journal(arguments.folder, resume=True)
-    recipe = journal.recipe if isinstance(journal.recipe, dict) else {}
-    if str(recipe.get("command")) not in SCENES or not set(recipe) <= set(RECIPE):
-        raise InputError(
-            f"{arguments.folder}: the run there was not started by a command; carry it on with "
-            "solve(scene, out=..., resume=True)"
-        )
-    given = argparse.Namespace(**(dict.fromkeys(RECIPE) | recipe))
-    try:
-        with chdir(str(given.directory)):
-            scene = SCENES[given.command](given)
-    except TypeError as error:
-        raise InputError(f"{arguments.folder}: not a record of a run ({error})") from error
-    except OSError as error:
-        raise InputError(f"{given.directory}: {error.strerror}") from error
-    return _record(scene, given, journal)
+def about(help: str, **more: Any) -> Parameter:
+    """Help of an option."""
+    return Parameter(help=help, **more)
 
 
-def _record(scene: Scene, arguments: argparse.Namespace, journal: Journal) -> int:
-    """Solve a scene and leave its files in the journal's folder."""
-    folder, clock = journal.folder, time.perf_counter()
-    _say(f"writing to {folder}")
-    _say(_describe(scene))
-    increment, linear = arguments.increment, arguments.linear
-    with LiveProgress(scene.travel) as callback:
-        if getattr(arguments, "size", None) is None:
-            result = refine(scene, callback, arguments.accuracy, increment, linear, out=journal)
-        else:
-            result = solve(scene, callback, increment, linear=linear, out=journal)
-    if result.status == "completed" and getattr(arguments, "seeds", None):
-        try:
-            spread(result, range(1, arguments.seeds + 1))
-        except KeyboardInterrupt:
-            result.reason = "interrupted while perturbed starts were solved"
-        journal.close(result)
-    _say(_report(result))
-    _say(f"  {'all in all':<15}{time.perf_counter() - clock:.1f} s, with error estimate and files")
-    if (folder / RESUME).exists():
-        _say(f"carry on with: quasiform resume {folder}")
-    written = [name for name in FILES if (folder / name).exists()]
-    if scene.outputs["increments"]:
-        written.append(f"{len(list(folder.glob(INCREMENTS)))} {INCREMENTS}")
-    _say(f"files in {folder}: {', '.join(written)}")
-    return 0 if result.status == "completed" else 3
+def word(converter: Callable[[str], Any], metavar: str) -> Parameter:
+    """An option of one word that a function reads; it can be repeated where its type is a list."""
+
+    def convert(kind: Any, tokens: Sequence[Token]) -> Any:
+        found = [converter(token.value) for token in tokens]
+        return found if get_origin(kind) is list else found[0]
+
+    return Parameter(converter=convert, metavar=metavar, n_tokens=1, accepts_keys=False)
 
 
-def _identify(arguments: argparse.Namespace) -> int:
-    folder = arguments.out or _unused(_case(arguments.file.stem) + "-fabric")
-    check_folder(folder, force=arguments.force, names=MATERIAL_FILES)
-    names = ("kind", "length", "width", "angle", "side", "thickness", "method", "keep")
-    names += ("algorithm", "size", "name", "columns", "units")
-    given = {name: getattr(arguments, name) for name in names}
-    campaign = load(arguments.file, **{k: v for k, v in given.items() if v is not None})
-    if arguments.dry_run:
-        _say(_campaign(campaign))
-        return 0
-    _say(f"writing to {folder}")
-    _say(_campaign(campaign))
+def _positive(text: str) -> float:
+    with suppress(ValueError):  # of float, or an InputError
+        return check_number("value", float(text))
+    raise ValueError(f"expected a positive number, got '{text}'")
+
+
+def _degrees(text: str) -> float:
+    with suppress(ValueError):
+        if isfinite(number := float(text)):
+            return number
+    raise ValueError(f"expected a number of degrees, got '{text}'")
+
+
+def _path(text: str) -> Path:
+    if not text:
+        raise ValueError("expected the name of a file or folder, got ''")
+    return Path(text)
+
+
+def _known(what: str, name: str, known: Iterable[str]) -> str:
+    if name not in known:
+        raise ValueError(f"unknown {what} '{name}': {suggestion(name, known)}")
+    return name
+
+
+def _pairs(what: str, module: str, value: type, example: str) -> Parameter:
+    """NAME=VALUE,... with names that a module knows; a comma without a NAME= is of a value."""
+
+    def read(text: str) -> dict[str, Any]:
+        names, pairs = import_module(f"quasiform.identification.{module}").NAMES, {}
+        for entry in re.split(r",(?=\s*\w+\s*=)", text):
+            name, _, given = (part.strip() for part in entry.partition("="))
+            expected = f"expected {example} with each name once, got '{entry}'"
+            if _known(what, name, names) in pairs or not (given := given.strip("\"'")):
+                raise ValueError(expected)
+            try:
+                pairs[name] = value(given)
+            except ValueError:
+                raise ValueError(expected) from None
+        return pairs
+
+    return word(read, "NAME=VALUE,...")
+
+
+def _pictures(text: str) -> tuple[str, ...]:
+    from ..draw.pictures import PICTURES
+
+    return tuple(_known("picture", name.strip(), PICTURES) for name in text.split(","))
+
+
+def _direction(text: str) -> tuple[float, float, float]:
+    with suppress(ValueError):
+        x, y, z = (float(number) for number in text.split(","))
+        if any((x, y, z)) and isfinite(x + y + z):
+            return x, y, z
+    raise ValueError(f"expected X,Y,Z of a direction, got '{text}'")
+
+
+def _disc(text: str) -> tuple[str, tuple[tuple[float, float], float]]:
+    name, _, numbers = text.partition("=")
+    with suppress(ValueError):
+        x, y, radius = (float(number) for number in numbers.split(","))
+        if name and isfinite(x + y) and 0 < radius < float("inf"):
+            return name, ((x, y), radius)
+    raise ValueError(f"expected NAME=X,Y,RADIUS in mm, got '{text}'")
+
+
+def _or_file(*names: str) -> Callable[[object], list[str]]:
+    """Completion by names, and by the TOML files of the working directory."""
+    return lambda _: [*names, *(str(path) for path in sorted(Path().glob("*.toml")))]
+
+
+Length = Annotated[float, word(_positive, "MM")]
+Degrees = Annotated[float, word(_positive, "DEG")]
+Factor = Annotated[float, word(_positive, "FACTOR")]
+Percent = Annotated[float, word(_positive, "PERCENT")]
+Angle = Annotated[float, word(_degrees, "DEG")]
+Count = Annotated[int, Parameter(metavar="N", validator=Number(gte=1, lte=1000))]
+Folder = Annotated[Path, word(_path, "DIR")]
+File = Annotated[Path, word(_path, "FILE")]
+Law = Annotated[str, Parameter(metavar="LAW", completer=_or_file("locking", "best-fit"))]
+SceneName = Annotated[str, Parameter(completer=_or_file("box", "hemisphere", "tetrahedron"))]
+Keep = Annotated[
+    dict[str, float], _pairs("parameter", "fit", float, "NAME=VALUE,... such as I_lo=0.8")
+]
+Columns = Annotated[
+    dict[str, str], _pairs("quantity", "records", str, "NAME=WORD,... such as force=3")
+]
+Discs = Annotated[list[tuple[str, Any]], word(_disc, "NAME=X,Y,RADIUS")]
+MESH = Group("Mesh", validator=LimitedChoice())
+PRODUCT = Group("What to write", validator=LimitedChoice(1))
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Output:
+    """Where a command writes."""
+
+    out: Folder | None = None
+    """Folder of the result; by default a new one, named after the case."""
+    force: bool = False
+    """Replace the result in --out."""
+
+    def folder(self, name: str, files: Sequence[str]) -> Path:
+        """Folder to write to; refused where it holds one of the files."""
+        from ..result.files import check_folder
+
+        return check_folder(self.out or _unused(_case(name)), force=self.force, names=files)
+
+    def file(self, path: Path) -> Path:
+        """File to write; refused where it exists."""
+        if path.exists() and not self.force:
+            raise InputError(f"{path} is there already: choose another, or replace it with --force")
+        return path
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Solver(Output):
+    """How a model is solved."""
+
+    increment: Length | None = None
+    """Travel of an increment; by default the program chooses it."""
+    dry_run: bool = False
+    """Print the model and the expected time; solve and write nothing."""
+    linear: Literal["auto", "pardiso", "superlu"] = "auto"
+    """Linear solver, for experts."""
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """What can be changed of a forming scene; by default its own values."""
+
+    orientation: Angle | None = None
+    """Angle from x to the warp."""
+    law: Law | None = None
+    """Fabric: locking, best-fit or FILE.toml."""
+    size: Annotated[Length | None, Parameter(group=MESH)] = None
+    """Spacing of the fibre lines. `form` then follows the whole path on this mesh; by default the
+    end is solved at the scene's size, or 5, and the path on a coarser mesh."""
+    travel: Length | None = None
+    """Travel of the punch."""
+    symmetry: Literal["auto", "none"] | None = None
+    """Model a half or a quarter where everything is mirrored (auto), or always the whole."""
+
+
+@app.command
+def oat(
+    *,
+    angle: Annotated[Angle, about("Angle between load and warp.")] = 45.0,
+    law: Annotated[Law, about("Fabric: locking, best-fit or FILE.toml.")] = "locking",
+    length: Annotated[Length, about("Free length of the specimen.")] = 320.0,
+    width: Annotated[Length, about("Width of the specimen.")] = 160.0,
+    displacement: Annotated[Length, about("Displacement of the grip at the end.")] = 80.0,
+    size: Annotated[Length, about("Cell edge along the specimen's axes at 45°.")] = 10.0,
+    solver: Solver = Solver(),
+) -> int:
+    """Off-axis tension test of a strip."""
+    model = qf.off_axis_tension(angle, law, length, width, displacement, size)
+    return _solve(model, solver)
+
+
+@app.command
+def form(
+    scene: Annotated[SceneName, about("hemisphere, tetrahedron, box or FILE.toml.")],
+    /,
+    *,
+    accuracy: Annotated[
+        Degrees | None,
+        about("Refine until the estimated error of the shear angle (p99) is below.", group=MESH),
+    ] = None,
+    seeds: Annotated[
+        Count | None, about("Solve the path N times more with noise, to see what is robust.")
+    ] = None,
+    options: Scene = Scene(),
+    solver: Solver = Solver(),
+) -> int:
+    """Forming test with a punch, a die and a blank holder."""
+    model = qf.forming(scene, *astuple(options))
+    return _solve(model, solver, accuracy, seeds, one_mesh=options.size is not None)
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Tests:
+    """What the tests are, and what is identified from them."""
+
+    method: Literal["fit", "inverse", "table", "as-printed"] | None = None
+    """By default the file's, or fit."""
+    keep: Keep | None = None
+    """Parameters that are not fitted, such as C_lo=1000,I_lo=0.819."""
+    algorithm: Literal["least-squares", "nelder-mead"] | None = None
+    """Of the fit (least-squares)."""
+    name: str | None = None
+    """Of the fabric; by default the file's."""
+    kind: Literal["off-axis", "picture-frame"] | None = None
+    """Kind of the test in a CSV file (off-axis)."""
+    angle: Degrees | None = None
+    """Angle between load and warp (45)."""
+    length: Length | None = None
+    """Free length of the strip (320)."""
+    width: Length | None = None
+    """Width of the strip (160)."""
+    side: Length | None = None
+    """Side of the picture frame (100)."""
+    thickness: Length | None = None
+    """Of the fabric (1.004)."""
+    size: Length | None = None
+    """Method inverse: cell edge of the finite-element test (14)."""
+    columns: Columns | None = None
+    """Headings or positions in a CSV file: displacement="Position(mm)",force=3."""
+    units: Columns | None = None
+    """Units in a CSV file, instead of those it states: displacement=inch,force=kN."""
+
+
+@app.command
+def identify(
+    file: Annotated[File, about("CSV of one test, or TOML of several (see README).")],
+    /,
+    *,
+    tests: Tests = Tests(),
+    dry_run: Annotated[bool, about("Print what is in the tests; write nothing.")] = False,
+    output: Output = Output(),
+) -> None:
+    """Material file from off-axis tension, picture-frame and cantilever tests."""
+    from ..identification.campaign import load
+    from ..identification.identified import FILES
+
+    folder = output.folder(f"{file.stem}-fabric", FILES)
+    campaign = load(file, **_given(tests))
+    if dry_run:
+        terminal.say(terminal.campaign(campaign))
+        return
+    terminal.say(f"writing to {folder}", terminal.campaign(campaign))
     if campaign.shear:
         loop = " or minutes, with finite elements in the loop"
-        _say(f"fitting, some seconds{loop if campaign.method == 'inverse' else ''}")
-    found = identify(campaign)
-    found.save(folder, force=arguments.force)
-    _say(_identified(found))
-    written = [name for name in MATERIAL_FILES if (folder / name).exists()]
-    _say(f"files in {folder}: {', '.join(written)}")
-    return 0
+        terminal.say(f"fitting, some seconds{loop if campaign.method == 'inverse' else ''}")
+    found = qf.identify(campaign)
+    found.save(folder, force=output.force)
+    terminal.say(terminal.identified(found), terminal.files(folder, FILES))
 
 
-def _compare(arguments: argparse.Namespace) -> int:
-    result, reference = arguments.result, arguments.reference
-    folder = arguments.out or _unused(_case(f"{result.name}-beside-{reference.stem}"))
-    check_folder(folder, force=arguments.force, names=COMPARISON_FILES)
-    given = {name: getattr(arguments, name) for name in COMPARED_BY}
-    given = {name: value for name, value in given.items() if value is not None}
-    if arguments.area:
-        given["areas"] = dict(arguments.area)
-    comparison = compare(result, reference, **given)
-    _say(f"writing to {folder}")
-    comparison.save(folder, force=arguments.force)
-    _say("\n".join([comparison.table(), *(f"  {note}" for note in comparison.notes)]))
-    written = [name for name in COMPARISON_FILES if (folder / name).exists()]
-    _say(f"files in {folder}: {', '.join(written)}")
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Reference:
+    """How a reference is read and compared."""
+
+    field: str | None = None
+    """Field or column of the angle, or none."""
+    angle: Literal["shear", "between"] | None = None
+    """What it is: the shear angle (default), or the angle between the fibres."""
+    radians: bool = False
+    """The angle is in radians."""
+    signed: bool = False
+    """The sign of the angle counts."""
+    orientation: Angle | None = None
+    """Angle from x to the reference's warp, where only its displacements are known (0)."""
+    values: File | None = None
+    """CSV by node or element label for an .inp."""
+    coordinates: Literal["formed", "flat"] | None = None
+    """What the coordinates of the reference are."""
+    history: File | None = None
+    """CSV of the reference's travel and force."""
+    scale: Factor | None = None
+    """Unit of the reference's lengths in mm (1)."""
+    force_factor: Factor | None = None
+    """Of the reference's forces: 4 for those of a quarter (1)."""
+    travel: Length | None = None
+    """Where to compare; by default at the largest travel of both."""
+    reference_travel: Length | None = None
+    """Travel of the reference's last state, where its file does not give it."""
+    within: Length | None = None
+    """Points farther than this from the other sheet are not compared."""
+    band_angle: Degrees | None = None
+    """Largest difference of the shear angle on 95 % of the area."""
+    band_outline: Length | None = None
+    """Largest distance of the outlines."""
+    band_force: Percent | None = None
+    """Largest difference of the force."""
+    by: Literal["auto", "flat", "formed"] | None = None
+    """Coordinates by which points are matched; auto: flat if both have them."""
+    align: Literal["none", "shift", "rigid"] | None = None
+    """Shift, or shift and rotate, the reference to where it fits best."""
+    mirror: Literal["x", "y", "x,y"] | None = None
+    """Unfold the reference, a half or a quarter, at x = 0, y = 0 or both."""
+    standing: Literal[
+        "measured", "stated", "exact", "peer", "prototype", "inferred", "assumed", "own"
+    ] = "peer"
+    """Standing of the reference."""
+
+
+@app.command
+def compare(
+    result: Annotated[Folder, about("Folder of a result.")],
+    reference: Annotated[File, about("A result; a .vtu, .vtk, .xdmf or .inp; a CSV of points.")],
+    /,
+    *,
+    options: Reference = Reference(),
+    area: Annotated[Discs | None, about("Disc of the flat blank for a mean (the scene's).")] = None,
+    output: Output = Output(),
+) -> int:
+    """Two results, or a result and another code's or a measured field, at equal travel."""
+    from ..comparison import FILES
+
+    folder = output.folder(f"{result.name}-beside-{reference.stem}", FILES)
+    given = _given(options) | ({"areas": dict(area)} if area else {})
+    if options.mirror:
+        given["mirror"] = options.mirror.split(",")
+    comparison = qf.compare(result, reference, **given)
+    terminal.say(f"writing to {folder}")
+    comparison.save(folder, force=output.force)
+    terminal.say(comparison.table(), *(f"  {note}" for note in comparison.notes))
+    terminal.say(terminal.files(folder, FILES))
     return 0 if comparison.held else 1
 
 
-def _export(arguments: argparse.Namespace) -> int:
-    if arguments.deck:
-        return _deck(arguments)
-    source = Path(arguments.source)
-    kind = "pattern" if arguments.trim is not None else arguments.to
-    folder = arguments.out or _unused(_case(f"{source.resolve().name}-{kind}"))
-    names = PATTERN_FILES if arguments.trim is not None else HANDOVER_FILES
-    check_folder(folder, force=arguments.force, names=names)
-    if arguments.trim is not None:
-        pattern = flat_pattern(
-            source, arguments.trim, within=arguments.within, scale=arguments.scale
-        )
-        _say(f"writing to {folder}")
-        pattern.save(folder, force=arguments.force)
-        lines = "1 line" if len(pattern.trim) == 1 else f"{len(pattern.trim)} lines"
-        _say(f"{lines} to cut, {pattern.area:.6g} mm² inside")
-        notices, general, told = pattern.notices, NOT_MODELLED, "pattern.txt"
-        written = [name for name in PATTERN_FILES if (folder / name).exists()]
+@app.command
+def export(
+    source: Annotated[str, about("Folder of a result; with --deck a scene.")],
+    /,
+    *,
+    to: Annotated[
+        Literal["abaqus", "abaqus-pair", "calculix", "radioss", "optistruct", "csv", "vtu"] | None,
+        about("Fibre directions by element.", group=PRODUCT),
+    ] = None,
+    trim: Annotated[
+        str | None,
+        about("Flat pattern of a line, the sheet's edge or the die's opening.", group=PRODUCT),
+        Parameter(metavar="FILE.csv|edge|die"),
+    ] = None,
+    deck: Annotated[bool, about("Abaqus/Explicit deck of a scene.", group=PRODUCT)] = False,
+    mesh: Annotated[File | None, about("--to: structural mesh (the formed sheet's).")] = None,
+    scale: Annotated[Factor, about("Unit of length of the mesh or line in mm.")] = 1.0,
+    within: Annotated[
+        Length | None, about("Farther is off the sheet (spacing of a mesh; thickness for a line).")
+    ] = None,
+    axis: Annotated[Literal["warp", "weft", "bisector"], about("calculix: local 1.")] = "warp",
+    reference: Annotated[
+        tuple[float, float, float],
+        word(_direction, "X,Y,Z"),
+        about("radioss, optistruct: direction from which angles are measured."),
+    ] = (1.0, 0.0, 0.0),
+    options: Scene = Scene(),
+    output: Output = Output(),
+) -> None:
+    """Fibre directions for a structural code, a flat pattern, or an Abaqus deck (of a scene)."""
+    from ..handover import handover, pattern
+
+    path, force = Path(source), output.force
+    if deck:
+        _deck(qf.forming(source, *astuple(options)), output)
+    elif trim:
+        folder = output.folder(f"{path.resolve().name}-pattern", pattern.FILES)
+        found = qf.flat_pattern(path, trim, within=within, scale=scale)
+        found.save(folder, force=force)
+        lines = "1 line" if len(found.trim) == 1 else f"{len(found.trim)} lines"
+        terminal.say(f"writing to {folder}", f"{lines} to cut, {found.area:.6g} mm² inside")
+        terminal.say(*terminal.notes(found.notices, pattern.NOT_MODELLED, "pattern.txt"))
+        terminal.say(terminal.files(folder, pattern.FILES))
     else:
-        handed = export(
-            source,
-            arguments.to,
-            folder,
-            mesh=arguments.mesh,
-            scale=arguments.scale,
-            within=arguments.within,
-            axis=arguments.axis,
-            reference=arguments.reference,
-            force=arguments.force,
+        folder = output.folder(f"{path.resolve().name}-{to}", handover.FILES)
+        how = {"mesh": mesh, "scale": scale, "within": within, "axis": axis}
+        handed = qf.export(path, to, folder, **how, reference=reference, force=force)
+        terminal.say(f"writing to {folder}")
+        terminal.say(*terminal.notes(handed.notices, handed.general, handover.NOTES))
+        terminal.say(terminal.files(folder, handed.files))
+
+
+def _deck(model: qf.Model, output: Output) -> None:
+    file = f"{_case(model.name)}.inp"
+    folder = output.folder(f"{model.name}-deck", (file,))
+    terminal.say(f"writing to {folder}")
+    notes = qf.abaqus_deck(model, folder / file, force=output.force)
+    terminal.say(*terminal.notes(notes), terminal.files(folder, (file,)))
+
+
+@app.command
+def resume(folder: Annotated[Folder, about("Folder of the run.")], /) -> int:
+    """Continue a run of `oat` or `form` from the last increment in its folder."""
+    journal = qf.Journal(folder, resume=True)
+    if set(journal.options) != set(OPTIONS):
+        raise InputError(
+            f"{folder}: the run there was not started by a command; continue it with "
+            "solve(model, out=..., resume=True)"
         )
-        _say(f"writing to {folder}")
-        notices, general, told = handed.notices, handed.general, HANDOVER_NOTES
-        written = handed.files
-    own = [f"  note: {notice}" for notice in notices if notice not in general]
-    _say("\n".join([*own, f"  and {len(general)} notes true of every such export, in {told}"]))
-    _say(f"files in {folder}: {', '.join(written)}")
-    return 0
+    return _run(journal.model(), journal)
 
 
-def _deck(arguments: argparse.Namespace) -> int:
-    arguments.scene = arguments.source
-    scene = SCENES["form"](arguments)
-    folder = arguments.out or _unused(_case(f"{scene.name}-deck"))
-    name = f"{_case(scene.name)}.inp"
-    check_folder(folder, force=arguments.force, names=(name,))
-    _say(f"writing to {folder}")
-    notices = abaqus_deck(scene, folder / name, force=arguments.force)
-    _say("\n".join(f"  note: {notice}" for notice in notices))
-    _say(f"files in {folder}: {name}")
-    return 0
+@app.command
+def plot(
+    *folders: Annotated[Folder, about("Folders of results.")],
+    table: Annotated[bool, about("Print the table alone; write nothing.")] = False,
+    only: Annotated[
+        tuple[str, ...] | None,
+        word(_pictures, "NAME,..."),
+        about("Some of shear_angle, fibres, outline, ... (all)."),
+    ] = None,
+    travel: Annotated[Length | None, about("Show the states nearest to it (the last).")] = None,
+    scale: Annotated[
+        Degrees | None, about("End of the colour scale (above all shear and locking angles).")
+    ] = None,
+    animate: Annotated[
+        Literal["gif", "mp4"] | None, about("Animate the travel (mp4 needs ffmpeg).")
+    ] = None,
+    output: Output = Output(),
+) -> None:
+    """Pictures of results, one or several side by side, and a table of their key numbers."""
+    import csv
 
+    from ..draw import pictures
+    from ..result import saved
+    from ..result.files import replaced
 
-def _plot(arguments: argparse.Namespace) -> int:
-    runs = [saved.read(folder) for folder in arguments.folders]
-    if arguments.travel is not None:
-        runs = [run.near(arguments.travel) for run in runs]
+    if not folders:
+        raise InputError("plot: expected the folder of a result, DIR")
+    runs = [saved.read(folder) for folder in folders]
+    if travel is not None:
+        runs = [run.near(travel) for run in runs]
     rows = pictures.table(runs)
-    if arguments.table:
-        _say(_across(rows))
-        return 0
-    pictures.check_animation(arguments.animate)
-    one = f"{_case(runs[0].label)}-pictures" if len(runs) == 1 else "pictures"
-    folder = arguments.out or _unused(one)
-    check_folder(folder, force=arguments.force, names=pictures.FILES)
-    _say(f"writing to {folder}")
-    with replaced(folder, force=arguments.force, names=pictures.FILES) as staging:
-        notes = pictures.save(runs, staging, arguments.only, arguments.scale, arguments.animate)
+    shown = terminal.table(zip(*rows, strict=True))
+    if table:
+        terminal.say(shown)
+        return
+    pictures.check_animation(animate)
+    name = f"{runs[0].label}-pictures" if len(runs) == 1 else "pictures"
+    target = output.folder(name, pictures.FILES)
+    terminal.say(f"writing to {target}")
+    with replaced(target, force=output.force, names=pictures.FILES) as staging:
+        notes = pictures.save(runs, staging, only, scale, animate)
         with (staging / "table.csv").open("w", newline="", encoding="utf-8") as file:
             csv.writer(file).writerows(rows)
-    _say("\n".join([_across(rows), *(f"  note: {note}" for note in notes)]))
-    written = [name for name in pictures.FILES if (folder / name).exists()]
-    _say(f"files in {folder}: {', '.join(written)}")
-    return 0
+    terminal.say(shown, *terminal.notes(notes), terminal.files(target, pictures.FILES))
 
 
-def _view(arguments: argparse.Namespace) -> int:
-    run = saved.read(arguments.folder)
-    if arguments.travel is not None:
-        run = run.near(arguments.travel)
-    path = arguments.out or _unused(_case(run.label), ".html")
-    if path.exists() and not arguments.force:
-        raise InputError(f"{path} is there already: choose another, or replace it with --force")
+@app.command
+def view(
+    folder: Annotated[Folder, about("Folder of a result.")],
+    /,
+    *,
+    travel: Annotated[Length | None, about("Show the state nearest to it (the last).")] = None,
+    open: Annotated[bool, about("Open the page in the browser.")] = False,
+    output: Output = Output(),
+) -> None:
+    """A result as one HTML page to rotate, zoom and probe; `--out` is its name.
+
+    Needs plotly (pip install 'quasiform[report]').
+    """
+    import webbrowser
+
+    from ..draw import view
+    from ..result import saved
+
+    run = saved.read(folder)
+    if travel is not None:
+        run = run.near(travel)
+    path = output.file(output.out or _unused(_case(run.label), ".html"))
     view.save(run, path)
-    _say(view.words(run))
-    _say(f"file: {path}")
-    if arguments.open and not webbrowser.open(path.resolve().as_uri()):
+    terminal.say(view.words(run), f"file: {path}")
+    if open and not webbrowser.open(path.resolve().as_uri()):
         raise InputError(f"no browser was found: open {path} yourself")
-    return 0
 
 
-def _new(arguments: argparse.Namespace) -> int:
-    path = arguments.file
-    if path.suffix != ".toml":
-        raise InputError(f"{path}: expected the name of a .toml file")
-    if path.exists() and not arguments.force:
-        raise InputError(f"{path} is there already: choose another, or replace it with --force")
+@app.command
+def new(
+    file: Annotated[File, about("Name of the scene, ending in .toml.")],
+    /,
+    *,
+    force: Annotated[bool, about("Replace the file.")] = False,
+) -> None:
+    """Write a commented scene file to start from; it runs as it is."""
+    if file.suffix != ".toml":
+        raise InputError(f"{file}: expected the name of a .toml file")
     template = (Path(__file__).parent / "new.toml").read_text(encoding="utf-8")
     try:
-        path.write_text(template.replace("NAME", _case(path.stem)), encoding="utf-8")
+        text = template.replace("NAME", _case(file.stem))
+        Output(force=force).file(file).write_text(text, encoding="utf-8")
     except OSError as error:
-        raise InputError(f"cannot write to {path}: {error.strerror or error}") from error
-    _say(f"file: {path}\nlook at it: quasiform form {path} --dry-run")
+        raise InputError(f"cannot write to {file}: {error.strerror or error}") from error
+    terminal.say(f"file: {file}", f"look at it: quasiform form {file} --dry-run")
+
+
+@app.command
+def schema() -> None:
+    """Print the JSON schema of a scene file, for editors."""
+    import json
+
+    from ..scenes.scene_file import json_schema
+
+    terminal.say(json.dumps(json_schema(), indent=2))
+
+
+@app.command
+def doctor() -> None:
+    """Print versions, linear solvers, threads and optional parts of this installation."""
+    from . import doctor
+
+    terminal.say(terminal.table(doctor.examine()))
+
+
+@app.command
+def validate(
+    *cases: Annotated[str, about("Names of cases (all).")],
+    quick: Annotated[bool, about("The quick suite: under 5 minutes.")] = False,
+    output: Output = Output(),
+) -> int:
+    """Run the validation suite of a clone; exit status 1 if a band was missed."""
+    for folder in (Path.cwd(), Path(__file__).parents[2]):
+        package = folder / "validation" / "__init__.py"
+        if package.with_name("run.py").is_file() and (folder / "pyproject.toml").is_file():
+            spec = spec_from_file_location("validation", package)
+            sys.modules["validation"] = module_from_spec(spec)
+            spec.loader.exec_module(sys.modules["validation"])
+            run = import_module("validation.run")
+            return run.validate(list(cases), quick=quick, out=output.out, force=output.force)
+    raise InputError("the validation suite is part of the source tree: run it from a clone")
+
+
+# A run
+
+OPTIONS = ("increment", "accuracy", "linear", "seeds", "one_mesh")  # kept for `quasiform resume`
+
+
+def _solve(
+    model: qf.Model,
+    solver: Solver,
+    accuracy: float | None = None,
+    seeds: int | None = None,
+    one_mesh: bool = True,
+) -> int:
+    """Solve a model, or describe it."""
+    given = (solver.increment, accuracy, solver.linear, seeds, one_mesh)
+    if not solver.dry_run:
+        folder = solver.out or _unused(_case(model.name))
+        options = dict(zip(OPTIONS, given, strict=True))
+        return _run(model, qf.Journal(folder, options, force=solver.force))
+    from . import forecast
+
+    found = forecast.meshes(model, one_mesh, solver.linear, seeds or 0)
+    lines = [terminal.describe(model), f"  expected time: {forecast.words(found)}"]
+    if accuracy:
+        lines.append("  and longer where --accuracy asks for a finer mesh than that")
+    terminal.say(*lines)
     return 0
 
 
-def _doctor(arguments: argparse.Namespace) -> int:
-    _say("\n".join(f"{name:<24}{state}" for name, state in doctor.examine()))
-    return 0
+def _run(model: qf.Model, journal: qf.Journal) -> int:
+    """Solve a model and leave its files in the journal's folder."""
+    from ..result.files import FILES, INCREMENTS, RESUME
+    from .progress import LiveProgress
+
+    folder, options, clock = journal.folder, journal.options, perf_counter()
+    terminal.say(f"writing to {folder}", terminal.describe(model))
+    how = {"increment": options["increment"], "linear": options["linear"], "out": journal}
+    with LiveProgress(model.travel) as callback:
+        if options["one_mesh"]:
+            result = qf.solve(model, callback, **how)
+        else:
+            result = qf.refine(model, callback, options["accuracy"], **how)
+    if result.status == "completed" and options["seeds"]:
+        try:
+            qf.spread(result, range(1, options["seeds"] + 1))
+        except KeyboardInterrupt:
+            result.reason = "interrupted while perturbed starts were solved"
+        journal.close(result)
+    terminal.say(terminal.report(result, perf_counter() - clock))
+    if (folder / RESUME).exists():
+        terminal.say(f"continue with: quasiform resume {folder}")
+    more = f", {len(list(folder.glob(INCREMENTS)))} {INCREMENTS}"
+    terminal.say(terminal.files(folder, FILES) + more * bool(model.outputs["increments"]))
+    return 0 if result.status == "completed" else 3
 
 
-def _completion(arguments: argparse.Namespace) -> int:
-    more = {"form": " ".join(built_in()), "completion": " ".join(completion.SHELLS)}
-    _say(completion.script(commands(), more))
-    return 0
-
-
-def _validate(arguments: argparse.Namespace) -> int:
-    return _suite().validate(
-        arguments.cases, quick=arguments.quick, out=arguments.out, force=arguments.force
-    )
-
-
-def _suite() -> ModuleType:
-    """The command of the validation suite, which lies beside the package or in its wheel."""
-    folder = Path(__file__).parents[1] / "suite"
-    if not folder.is_dir():  # a clone
-        folder = Path(__file__).parents[2]
-    if not (folder / "validation" / "run.py").is_file():
-        raise InputError("the validation suite is not installed with this package")
-    sys.path.insert(0, str(folder))
-    from validation import run
-
-    return run
+def _given(options: Any) -> dict[str, Any]:
+    """Options that are not None."""
+    return {name: value for name, value in asdict(options).items() if value is not None}
 
 
 def _case(name: str) -> str:
@@ -338,169 +683,3 @@ def _unused(name: str, suffix: str = "") -> Path:
     """First of name, name-2, name-3, ... that does not exist."""
     names = (f"{name}{suffix}" if i == 1 else f"{name}-{i}{suffix}" for i in count(1))
     return next(path for path in map(Path, names) if not os.path.lexists(path))
-
-
-COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
-    "oat": _solve,
-    "form": _solve,
-    "identify": _identify,
-    "validate": _validate,
-    "compare": _compare,
-    "export": _export,
-    "resume": _resume,
-    "plot": _plot,
-    "view": _view,
-    "new": _new,
-    "doctor": _doctor,
-    "completion": _completion,
-}
-
-
-# What is said
-
-
-def _say(text: str) -> None:
-    """Print; a reader that has gone away (`| head`) does not end the run."""
-    shown = "".join(c if c.isprintable() or c == "\n" else ascii(c)[1:-1] for c in text)
-    encoding = sys.stdout.encoding or "utf-8"
-    try:
-        print(shown.encode(encoding, "backslashreplace").decode(encoding), flush=True)
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-
-
-def _describe(scene: Scene) -> str:
-    """Return the model in words: its size, what is in it and what was left out, and why."""
-    blank = scene.blank
-    return "\n".join(
-        [
-            f"{scene.name}: {len(blank.nodes)} nodes, {len(blank.triangles)} triangles, "
-            f"{(~scene.fixed).sum()} dofs, travel {scene.travel:g} mm",
-            f"  fabric: {scene.fabric.name}",
-            *(f"  {entry}: {why}" for entry, why in scene.model),
-        ]
-    )
-
-
-def _report(result: Result) -> str:
-    summary = result.summary()
-    reached = f"{summary['reached_mm']:.4g} of {result.scene.travel:.4g} mm"
-    gamma = summary["shear_angle_deg"]
-    errors = {k: v for k, v in summary["estimated_errors"].items() if v is not None}
-    rows = {
-        "force": f"{summary['force_N']:.4g}{_off(errors, 'force_N')} N",
-        "shear angle": f"max {gamma['max']:.2f}, p99 {gamma['p99']:.2f}"
-        f"{_off(errors, 'shear_angle_deg')}, mean {gamma['mean']:.2f}"
-        f"{_off(errors, 'shear_angle_mean_deg')} deg",
-    }
-    if "draw_in_mm" in summary:
-        found = {name: _off(errors, f"draw_in_{name}_mm") for name in summary["draw_in_mm"]}
-        rows["draw-in"] = _pairs(summary["draw_in_mm"], ".2f", found) + " mm"
-    if summary.get("areas"):
-        found = {name: _off(errors, f"area_{name}_deg") for name in summary["areas"]}
-        rows["areas"] = _pairs(summary["areas"], ".2f", found) + " deg (mean shear angle)"
-    if not errors:
-        why = "no coarser mesh of this scene came to the same end"
-        if result.reason or result.collapse:
-            why = "the run stopped early" if result.reason else "the sheet has collapsed"
-        rows["error estimate"] = f"none: {why}"
-    elif summary["error_estimate"]["shear_angle_deg"] > WIDE:
-        finer = "--accuracy 1 or a smaller" if result.scene.contacts else "a smaller"
-        rows["error estimate"] = f"wide: {finer} --size narrows it"
-    doubtful = {k: v for k, v in summary["doubtful_share"].items() if v >= 0.005}
-    if doubtful:
-        rows["doubtful"] = _pairs({k.replace("_", " "): v for k, v in doubtful.items()}, ".0%")
-        rows["doubtful"] += " of the area"
-    if summary["collapse"]:
-        rows["collapse"] = (
-            "from {travel_mm:.4g} mm on, first at X = ({at[0]:.1f}, {at[1]:.1f}) mm, "
-            "{shear_angle_deg:.1f} deg".format(**summary["collapse"])
-        )
-    certified = summary["certified"]
-    if summary["one_of_many"]:
-        rows["one of many"] = summary["one_of_many"]
-    if summary["spread"]:
-        scattered = [k for k, v in summary["spread"].items() if not v["robust"]]
-        rows["perturbed"] = ", ".join(
-            f"{name} {entry['low']:.4g} to {entry['high']:.4g}"
-            for name, entry in summary["spread"].items()
-            if name in SPREAD
-        )
-        rows["perturbed"] += f"; scattered: {', '.join(scattered)}" if scattered else "; all robust"
-    if summary["path_size_mm"]:
-        rows["path"] = f"followed at size {summary['path_size_mm']:g} mm"
-    rows["certified"] = "yes" if certified is True else f"no: {certified}"
-    rows["linear solves"] = (
-        f"{summary['linear_solves']:.0f} of the finest mesh ({summary['solver']['linear']}) "
-        f"in {summary['increments']} increments"
-    )
-    rows["wall time"] = f"{summary['wall_s']:.1f} s"
-    reason = f": {summary['reason']}" if summary["reason"] else ""
-    return "\n".join(
-        [f"{summary['status']} at {reached}{reason}"]
-        + [f"  {name:<15}{value}" for name, value in rows.items()]
-    )
-
-
-def _campaign(campaign: Campaign) -> str:
-    fabric, origins = campaign.fabric, campaign.fabric.provenance
-    method = METHODS[campaign.method] if campaign.shear else "cantilever tests"
-    rows = [f"{campaign.name}: {method}"]
-    if campaign.shear:
-        rows.append(f"  thickness {fabric.thickness:g} mm ({origins['thickness']})")
-    if campaign.bending:
-        rows.append(f"  areal weight {fabric.areal_weight:g} g/m² ({origins['areal_weight']})")
-    for test in campaign.shear:
-        gamma = np.degrees(test.forces(fabric.thickness).angles[0])
-        rows.append(
-            f"  {test.name}: {len(gamma)} rows, shear angle {gamma.min():.1f} to "
-            f"{gamma.max():.1f} deg, force to {test.curve.force.max():.4g} "
-            + ("N/mm" if test.curve.per_length else "N")
-        )
-        rows += [f"    {notice}" for notice in test.curve.notices]
-    for family, stiffness in campaign.bending.items():
-        rows.append(f"  cantilever, {family}: {stiffness.value:.4g} N mm")
-    return "\n".join(rows)
-
-
-def _identified(found: Identification) -> str:
-    rows = []
-    for p in found.parameters:
-        interval = f"{p.low:.4g} to {p.high:.4g}" if p.low == p.low else "-"
-        rows.append(f"  {p.name:<15}{p.value:<11.5g}{p.unit:<6}{interval:<24}{p.state}")
-    if found.curve is not None:
-        misfit = found.fabric.provenance["force_misfit_percent"]
-        rows.append(
-            f"  tested from {found.curve.low:.1f} to {found.curve.high:.1f} degrees of shear, "
-            f"forces within {misfit:g} % (root mean square)"
-        )
-    if found.fitted is not None:
-        first, third = found.fitted.stages
-        rows.append(f"  first stage to {first:.1f} degrees, third from {third:.1f} degrees")
-    read = {notice for test in found.campaign.shear for notice in test.curve.notices}
-    notes = [f"  note: {notice}" for notice in found.notices if notice not in read]
-    return "\n".join(["identified, with 95 % intervals", *rows, *notes])
-
-
-def _across(rows: list[list[str]]) -> str:
-    """Return a table on its side: a line for each heading, a column for each row."""
-    columns = [[str(cell) for cell in row] for row in rows]
-    widths = [max(map(len, column)) for column in columns]
-    return "\n".join(
-        "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip()
-        for line in zip(*columns, strict=True)
-    )
-
-
-def _off(errors: dict[str, float], name: str) -> str:
-    """Return the estimated error of a quantity as " ± ..."; empty where there is none."""
-    return f" ± {errors[name]:.2g}" if name in errors else ""
-
-
-def _pairs(table: dict[str, Any], form: str, off: dict[str, str] | None = None) -> str:
-    """Return the entries in words; an area without a triangle has no value."""
-    return ", ".join(
-        f"{key} {'none' if value is None or value != value else format(value, form)}"
-        + (off or {}).get(key, "")
-        for key, value in table.items()
-    )

@@ -1,22 +1,21 @@
-"""About how long a run will take, told before it is started.
+"""About how long a run will take, before it is started.
 
-One Newton step of the scene is timed here and now, on each mesh that will be solved; how many
+One Newton step of the model is timed here and now, on each mesh that will be solved; how many
 there will be is what runs of the built-in scenes took. That count is the rough part: a sheet that
-buckles takes many times as many as one that does not, and nobody knows before.
+buckles takes many times as many as one that does not, which nobody can know before.
 """
 
 from __future__ import annotations
 
 import time
 from contextlib import suppress
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from ..checks import InputError
-from ..model import Scene
-from ..solve.linear import SingularMatrixError
-from ..solve.newton import Equilibrium, NotConvergedError
+from ..model import Model
+from ..solve.equilibrium import Equilibrium, NotConvergedError
 
 # linear solves for each largest increment of the travel, geometric means of runs at sizes of 10 to
 # 20 mm: 10 of hemisphere, tetrahedron and box (19 to 364), 3 of off-axis tension (6 to 17)
@@ -27,8 +26,7 @@ LEAST, MOST = 0.3, 6.0  # of the expected time: between them lay those 13 runs
 TIMED, LONG = 3, 2.0  # steps that are timed, unless the first takes so many seconds
 
 
-@dataclass(frozen=True)
-class Mesh:
+class Mesh(NamedTuple):
     """A mesh that will be solved: its size, mm, unknowns, linear solves, and s for each."""
 
     size: float
@@ -38,69 +36,56 @@ class Mesh:
 
 
 def meshes(
-    scene: Scene, one_mesh: bool, linear: str = "auto", seeds: int = 0
+    model: Model, one_mesh: bool, linear: str = "auto", seeds: int = 0
 ) -> tuple[Mesh, ...] | None:
-    """Meshes that a run will solve, with what each is expected to take.
+    """Meshes that a run will solve; None where the model has no tangent at its start.
 
-    Parameters
-    ----------
-    scene : Scene
-    one_mesh : bool
-        The whole path on the scene's mesh, as `solve`, or its end only, as `refine`.
-    linear : str
-        Linear solver.
-    seeds : int
-        Perturbed runs of the path after it.
-
-    Returns
-    -------
-    tuple of Mesh, or None
-        None where the scene has no tangent at its start, so that nothing can be timed.
+    With `one_mesh` the whole path is on the model's mesh, as `solve` does, else its end only, as
+    `refine` does; `seeds` perturbed runs of the path come after it.
     """
-    path = (WITH_TOOLS if scene.contacts else IN_PLANE) * max(scene.travel / scene.increment, 1.0)
-    scenes = _coarser(scene, one_mesh)
+    path = (WITH_TOOLS if model.contacts else IN_PLANE) * max(model.travel / model.increment, 1.0)
+    models = _coarser(model, one_mesh)
     if one_mesh:  # the path on all, the coarser ones for the error estimate
-        solves = [path] * len(scenes)
+        solves = [path] * len(models)
     else:
-        solves = [CARRIED] * (len(scenes) - 1) + [path]
-        if len(scenes) == 1 and (coarse := _resized(scene, 2 * scene.size)):
-            scenes, solves = [scene, coarse], [path, path]
-    followed = 0 if solves[0] == path else -1
-    solves[followed] += seeds * path
+        solves = [CARRIED] * (len(models) - 1) + [path]
+        if len(models) == 1 and (coarse := _resized(model, 2 * model.size)):
+            models, solves = [model, coarse], [path, path]
+    solves[0 if solves[0] == path else -1] += seeds * path
     try:
         return tuple(
             Mesh(one.size, int((~one.fixed).sum()), count, COST * _step(one, linear))
-            for one, count in zip(scenes, solves, strict=True)
+            for one, count in zip(models, solves, strict=True)
         )
-    except (NotConvergedError, SingularMatrixError):
+    except NotConvergedError:
         return None
 
 
-def _coarser(scene: Scene, one_mesh: bool) -> list[Scene]:
-    """Return the scene and those on coarser meshes that are solved with it."""
-    scenes = [scene]
-    while len(scenes) < 3 or not one_mesh:
-        size = 2 * scenes[-1].size
-        needed = one_mesh and len(scenes) == 1  # else no estimate
-        if size > scene.coarsest * (1 + 1e-9) and not needed:
+def _coarser(model: Model, one_mesh: bool) -> list[Model]:
+    """Return the model and those on coarser meshes that are solved with it."""
+    models = [model]
+    while len(models) < 3 or not one_mesh:
+        size = 2 * models[-1].size
+        needed = one_mesh and len(models) == 1  # else no estimate
+        if size > model.coarsest * (1 + 1e-9) and not needed:
             break
-        if not (coarse := _resized(scene, size)):
+        if not (coarse := _resized(model, size)):
             break
-        scenes.append(coarse)
-    return scenes
+        models.append(coarse)
+    return models
 
 
-def _resized(scene: Scene, size: float) -> Scene | None:
-    """Return the scene at another size; None where that is too coarse for the blank."""
+def _resized(model: Model, size: float) -> Model | None:
+    """Return the model at another size; None where that is too coarse for the blank."""
     with suppress(InputError):
-        return scene.resized(size) if scene.resized else None
+        return None if model.changed else model.recipe.build(size, like=model)
     return None
 
 
 def words(found: tuple[Mesh, ...] | None) -> str:
-    """Return the expected time in words."""
+    """Return the expected time as text."""
     if found is None:
-        return "not known: the scene has no tangent at its start"
+        return "not known: the model has no tangent at its start"
     seconds = sum(mesh.solves * mesh.seconds for mesh in found)
     sizes = " and ".join(f"{mesh.size:g}" for mesh in found)
     return (
@@ -111,7 +96,7 @@ def words(found: tuple[Mesh, ...] | None) -> str:
 
 
 def duration(seconds: float) -> str:
-    """Return a time in words, no sharper than it is known.
+    """Return a time as text, no sharper than it is known.
 
     Examples
     --------
@@ -125,16 +110,18 @@ def duration(seconds: float) -> str:
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
-def _step(scene: Scene, linear: str) -> float:
-    """Time of one Newton step at the start of a scene, s."""
-    equilibrium, free = Equilibrium(scene, linear), ~scene.fixed
+def _step(model: Model, linear: str) -> float:
+    """Time of one Newton step at the start of a model, s."""
+    equations = Equilibrium(model, linear)
     taken: list[float] = []
     while len(taken) < TIMED and sum(taken) < LONG:
-        x = scene.x0 + 1e-9 * len(taken) * free  # another state, or the last factor would serve
+        # another state, or the last factor would serve
+        x = model.x0 + 1e-9 * len(taken) * equations.free
         clock = time.perf_counter()
-        equilibrium.factor(x, True)
-        equilibrium.solver.solve(equilibrium.potential.gradient(x)[free])
-        for term in scene.terms:
-            term.energy(x)
+        equations.factor(x, 1.0)
+        g = equations.potential.gradient(x, equations.memory)
+        equations.direction(x, g[equations.free])
+        for term, state in zip(model.terms, equations.memory, strict=True):
+            term.energy(x, state)
         taken.append(time.perf_counter() - clock)
     return float(np.median(taken))

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import sys
 import time
+from datetime import timedelta
 from math import nan
-from types import TracebackType
 
 from rich.console import Console
 from rich.live import Live
@@ -14,10 +14,10 @@ from rich.text import Text
 
 from ..solve.increments import Progress
 
-# A run slows down on its way: in five of the built-in scenes the time left, as told from a quarter
+# A run slows down on its way: in five of the built-in scenes the time left, as shown from a quarter
 # of the travel on, was 0.3 to 4 times what it took if the time grew as its square, 0.1 to 1.1
 # times (0.4 in the mean) if in proportion. What comes after the travel is not in it.
-GROWTH, TOLD_FROM = 2, 1 / 4
+GROWTH, SHOWN_FROM = 2, 1 / 4
 
 
 def progress(step: Progress) -> None:
@@ -39,18 +39,13 @@ def progress(step: Progress) -> None:
 class LiveProgress:
     """The same callback with a clock that runs on between two increments.
 
-    Made and entered just before the run, and left after it, however it ends.
-
-    Parameters
-    ----------
-    goal : float
-        Travel at the end.
+    A context around a run to the travel `goal`, however it ends.
     """
 
     def __init__(self, goal: float) -> None:
         self._step = Progress(0.0, goal, nan, 0.0, 0, 0, 0.0)
         self._stage = ""
-        self._told = time.perf_counter()
+        self._shown = time.perf_counter()
         self._console = Console(stderr=True)
         self._live = Live(get_renderable=self._row, console=self._console)
 
@@ -59,16 +54,11 @@ class LiveProgress:
             self._live.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._live.stop()
 
     def __call__(self, step: Progress) -> None:
-        self._step, self._stage, self._told = step, "", time.perf_counter()
+        self._step, self._stage, self._shown = step, "", time.perf_counter()
         if not self._live.is_started:
             progress(step)
 
@@ -79,9 +69,9 @@ class LiveProgress:
             print(words, file=sys.stderr, flush=True)
 
     def _row(self) -> Text:
-        since = time.perf_counter() - self._told
+        since = time.perf_counter() - self._shown
         if self._stage:
-            words = f"{self._stage}, {_clock(self._step.elapsed + since)} gone"
+            words = f"{self._stage}, {_clock(self._step.elapsed + since)} elapsed"
             return Text(words, no_wrap=True, overflow="crop")
         return _bar(self._step, self._console, since)
 
@@ -92,10 +82,10 @@ def _draws(console: Console) -> bool:
 
 
 def _words(step: Progress, since: float = 0.0) -> str:
-    """Return in words how far a run had come at a step, `since` seconds later."""
-    gone = step.elapsed + since
-    words = [f"travel {step.travel:.4g} of {step.goal:.4g}", f"{_clock(gone)} gone"]
-    if TOLD_FROM * step.goal <= step.travel < step.goal:
+    """How far a run had come at a step, `since` seconds later."""
+    words = [f"travel {step.travel:.4g} of {step.goal:.4g}"]
+    words.append(f"{_clock(step.elapsed + since)} elapsed")
+    if SHOWN_FROM * step.goal <= step.travel < step.goal:
         left = step.elapsed * ((step.goal / step.travel) ** GROWTH - 1)
         words.append(f"about {_clock(max(left - since, 0.0))} left")
     if step.travel:
@@ -116,6 +106,5 @@ def _bar(step: Progress, console: Console, since: float = 0.0) -> Text:
 
 
 def _clock(seconds: float) -> str:
-    minutes, seconds = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02}:{seconds:02}" if hours else f"{minutes}:{seconds:02}"
+    """Minutes and seconds, with hours where there are any: 1:05, 1:02:05."""
+    return str(timedelta(seconds=round(seconds))).removeprefix("0:").removeprefix("0")

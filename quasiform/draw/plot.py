@@ -1,4 +1,4 @@
-"""Pictures of a result: the shear angle on the formed sheet, and the history of the run.
+"""Pictures of one run: the shear angle on the formed sheet, the history, and where to trust it.
 
 The formed sheet is projected here (parallel projection) and its triangles are drawn from far to
 near, so that the sheet hides its own far side; lines on it are drawn over them where no triangle is
@@ -10,18 +10,19 @@ from __future__ import annotations
 
 import textwrap
 import warnings
+from collections.abc import Sequence
 from numbers import Real
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import shapely
 
-from ..model import COLLAPSE
 from ..net.blank import Blank
+from ..net.edges import edge_points
 from ..result.measures import SLIP_GRADIENT, percentile
-from ..result.run import Result
-from ..theory import OffAxisTension
+from ..result.record import Record
+from ..result.sheet import FormedSheet
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -58,6 +59,11 @@ RING_LEGEND = {"handlelength": 1.0, "columnspacing": 1.0, "title_fontsize": 7, "
 COLLAPSED = "#00c2d1"
 FIRST, SECOND, STOP = "#4b2991", "#d1605e", "#b00020"
 CURVE = {"markersize": 2, "color": FIRST, "clip_on": False}
+THEORY = {"linestyle": "--", "color": "0.4", "linewidth": 0.9}
+DASHED = {"color": "0.3", "linewidth": 0.8, "linestyle": (0, (4, 3))}
+ARROW = {"arrowstyle": "-|>,head_width=0.12,head_length=0.25", "linewidth": 0.8, "color": "black"}
+ARROW |= {"shrinkA": 0, "shrinkB": 0}
+MIDDLE = {"ha": "center", "va": "center", "fontsize": 7}
 SCALES = (10, 20, 30, 45, 60, 75, 90)  # ends of the colour scale, degrees
 AZIMUTH, ELEVATION = np.radians(-62.0), np.radians(36.0)
 TRUSTED = "#f2f2f2"
@@ -70,105 +76,94 @@ DOUBTS = {  # later ones lie over earlier ones
 LIGHT = np.array([-0.45, 0.55, 0.70])  # direction to the light: right, up, towards the viewer
 
 
-def save_pictures(result: Result, folder: str | Path) -> None:
+def save_pictures(run: Record, folder: str | Path) -> None:
     """Write `shear_angle.png`, `history.png` and `doubt.png`.
 
     Parameters
     ----------
-    result : Result
+    run : Record
         Of any scene, finished or stopped.
     folder : path
         Existing folder.
     """
     from matplotlib import rc_context
 
+    draw = {"shear_angle": sheet_figure, "history": history_figure, "doubt": doubt_figure}
     with rc_context(STYLE), warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph")  # a name with letters the font lacks
-        sheet = _plane_figure(result) if result.scene.dim == 2 else _formed_figure(result)
-        sheet.savefig(Path(folder) / "shear_angle.png", dpi=DPI)
-        _history_figure(result).savefig(Path(folder) / "history.png", dpi=DPI)
-        _doubt_figure(result).savefig(Path(folder) / "doubt.png", dpi=DPI)
+        for name, picture in draw.items():
+            picture(run).savefig(Path(folder) / f"{name}.png", dpi=DPI)
 
 
-def _plain(name: str) -> str:
-    """Return a name from a file as a label of a legend: nothing in it is a formula."""
-    return name.replace("$", r"\$").lstrip("_")  # matplotlib hides what begins with _
-
-
-def _formed_figure(result: Result) -> Figure:
-    """Sheet in space, the same seen along z, and the force."""
-    figure = _figure(4.2)
-    panels = figure.subplot_mosaic(
-        [["space", "above"], ["force", "key"]], width_ratios=[1.35, 1], height_ratios=[2.4, 1]
-    )
-    for view in ("space", "above"):
-        panels[view].set_anchor("N")
-    colours = _colour_scale(result)
-    _draw_in_space(panels["space"], result, colours)
-    rings = _draw_from_above(panels["above"], result, colours)
-    _draw_force(panels["force"], result)
-    key = panels["key"]
-    key.axis("off")
-    if rings:
-        title = "mean |γ| in the ringed areas"
-        key.legend(handles=rings, loc="upper center", ncols=3, title=title, **RING_LEGEND)
-    _draw_colour_scale(figure, colours, cax=key.inset_axes([0.02, 0.28, 0.96, 0.12]))
-    figure.suptitle(_title(result), parse_math=False)
+def sheet_figure(run: Record) -> Figure:
+    """Sheet in space and seen along z, or a specimen in its plane; and the force."""
+    colours = colour_scale([run])
+    if run.in_plane:
+        figure = new_figure(4.4)
+        panels = figure.subplot_mosaic([["above"], ["force"]], height_ratios=[2.4, 1])
+        _draw_from_above(panels["above"], run, colours)
+        place = {"ax": panels["above"], "shrink": 0.85, "aspect": 25, "panchor": False}
+    else:
+        figure = new_figure(4.2)
+        panels = figure.subplot_mosaic(
+            [["space", "above"], ["force", "key"]], width_ratios=[1.35, 1], height_ratios=[2.4, 1]
+        )
+        for view in ("space", "above"):
+            panels[view].set_anchor("N")
+        if draw_in_space(panels["space"], run, colours):
+            panels["space"].set_title("seen from below (the punch moved up, along −z)", pad=12)
+        rings = _draw_from_above(panels["above"], run, colours)
+        key = panels["key"]
+        key.axis("off")
+        if rings:
+            title = "mean |γ| in the ringed areas"
+            key.legend(handles=rings, loc="upper center", ncols=3, title=title, **RING_LEGEND)
+        place = {"cax": key.inset_axes([0.02, 0.28, 0.96, 0.12]), "orientation": "horizontal"}
+    _draw_force_panel(panels["force"], run)
+    draw_colour_bar(figure, colours, **place)
+    figure.suptitle(_title(run), parse_math=False)
     return figure
 
 
-def _plane_figure(result: Result) -> Figure:
-    """Specimen in its plane, and the force."""
-    figure = _figure(4.4)
-    panels = figure.subplot_mosaic([["sheet"], ["force"]], height_ratios=[2.4, 1])
-    colours = _colour_scale(result)
-    _draw_from_above(panels["sheet"], result, colours)
-    _draw_force(panels["force"], result)
-    _draw_colour_scale(figure, colours, ax=panels["sheet"], shrink=0.85, aspect=25, panchor=False)
-    figure.suptitle(_title(result), parse_math=False)
-    return figure
-
-
-def _doubt_figure(result: Result) -> Figure:
+def doubt_figure(run: Record) -> Figure:
     """Where not to trust the shear angle, and why, seen along z."""
     from matplotlib.colors import to_rgba
     from matplotlib.patches import Patch
 
-    figure = _figure(4.2)
+    figure = new_figure(4.2)
     axes, key = figure.subplots(1, 2, width_ratios=[1.35, 1])
-    blank = result.blank
-    faces = np.tile(to_rgba(TRUSTED), (len(blank.triangles), 1))
-    doubts = result.doubts()
-    handles = []
+    sheet, areas = run.sheet, run.sheet.flat_areas
+    faces = np.tile(to_rgba(TRUSTED), (len(sheet.triangles), 1))
+    doubts, handles = sheet.doubts(), []
     for reason, (colour, words) in DOUBTS.items():
         faces[doubts[reason]] = to_rgba(colour)
-        share = 100 * blank.areas @ doubts[reason] / blank.areas.sum()
-        label = words.format(range=result.scene.fabric.shear_range, slip=SLIP_GRADIENT)
+        share = 100 * areas @ doubts[reason] / areas.sum()
+        label = words.format(range=run.fabric.get("shear_range", np.nan), slip=SLIP_GRADIENT)
         handles.append(Patch(facecolor=colour, label=f"{label}: {share:.1f} %"))
-    positions = result.positions()
-    _paint(axes, result, positions, faces, shaded=False)
-    _frame(axes, positions[:, :2])
+    paint(axes, sheet, sheet.points, faces)
+    frame(axes, sheet.points)
     key.axis("off")
     trusted = Patch(facecolor=TRUSTED, edgecolor="0.6", label="nothing against it")
-    title = "doubts about the shear angle, share of the area"
+    title = "limits of the shear angle, share of the area"
     key.legend(handles=[*handles[::-1], trusted], loc="upper left", title=title, frameon=False)
-    figure.suptitle(_title(result), parse_math=False)
+    figure.suptitle(_title(run), parse_math=False)
     return figure
 
 
-def _history_figure(result: Result) -> Figure:
+def history_figure(run: Record) -> Figure:
     """Force, shear angle and, with mid-edges, draw-in over the travel."""
-    draw = [_draw_force, _draw_shear_angles]
-    if result.scene.edges:
+    draw = [_draw_force_panel, _draw_shear_angles]
+    if run.summary.get("draw_in_mm"):
         draw.append(_draw_draw_in)
-    figure = _figure(2.7)
+    figure = new_figure(2.7)
     for axes, panel in zip(figure.subplots(1, len(draw)), draw, strict=True):
-        panel(axes, result)
-    figure.suptitle(_title(result), parse_math=False)
+        panel(axes, run)
+    figure.suptitle(_title(run), parse_math=False)
     return figure
 
 
-def _figure(height: float) -> Figure:
+def new_figure(height: float) -> Figure:
+    """Figure of the text width, its height in inches."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(WIDTH, height), layout="constrained")
@@ -176,17 +171,24 @@ def _figure(height: float) -> Figure:
     return figure
 
 
-def _title(result: Result) -> str:
-    """Case, fabric and size; then the key numbers of the summary."""
-    summary, scene = result.summary(), result.scene
-    case = [summary["case"], scene.fabric.name]
-    size = scene.parameters.get("size")
-    path = f" (path at {summary['path_size_mm']:.3g} mm)" if summary["path_size_mm"] else ""
-    case.append(f"size {size if isinstance(size, Real) else scene.blank.size:.3g} mm{path}")
-    travel, force, unit = _words(result)
-    case.append(f"{travel} {summary['reached_mm']:.4g}{' mm' if unit == 'N' else ''}")
-    gamma, certified = summary["shear_angle_deg"], summary["certified"]
-    errors = summary["error_estimate"]
+def plain(name: str) -> str:
+    """Return a name from a file as a label of a legend: nothing in it is a formula."""
+    return name.replace("$", r"\$").lstrip("_")  # matplotlib hides what begins with _
+
+
+def _title(run: Record) -> str:
+    """Case, fabric and size; the key numbers; and the verdict with the worst news."""
+    summary = run.summary
+    size, path = run.parameters.get("size"), summary.get("path_size_mm")
+    size = size if isinstance(size, Real) else run.sheet.blank.size
+    travel, force, unit = _words(run)
+    case = [
+        run.case,
+        str(run.fabric.get("name", "unknown fabric")),
+        f"size {size:.3g} mm" + (f" (path at {path:.3g} mm)" if path else ""),
+        f"{travel} {summary['reached_mm']:.4g}{' mm' if unit == 'N' else ''}",
+    ]
+    gamma, errors = summary["shear_angle_deg"], summary["error_estimate"]
     off, off_force = (
         "" if errors[name] is None else f" ± {errors[name]:.2g}"
         for name in ("shear_angle_deg", "force_N")
@@ -194,122 +196,151 @@ def _title(result: Result) -> str:
     numbers = [f"|γ| max {gamma['max']:.1f}°, p99 {gamma['p99']:.1f}{off}°"]
     if unit == "N":
         numbers.append(f"{force} {round(summary['force_N'], 3) + 0.0:.4g}{off_force} N")
-    if certified is True:
-        numbers.append("certified")
-    title = " · ".join(case) + "\n" + " · ".join(numbers)
-    if certified is not True:
-        title += "\n" + textwrap.fill(f"not certified: {certified}", 100)
-    return title
+    return "\n".join([" · ".join(case), " · ".join(numbers), textwrap.fill(verdict(run), 100)])
 
 
-def _words(result: Result) -> tuple[str, str, str]:
+def verdict(run: Record) -> str:
+    """Whether a run converged and is certified, and the worst news."""
+    if run.certified:
+        return "; ".join(["converged and certified", *run.summary["trust"][:1]])
+    converged = run.summary["certificate"]["converged"]
+    head = "converged, but not certified" if converged else "not converged"
+    head = head if run.at_end else "not certified"
+    return f"{head}: {'; '.join(run.reasons)}"
+
+
+def _words(run: Record) -> tuple[str, str, str]:
     """Names of the travel and of its force, and the unit of the force."""
-    scene = result.scene
-    if scene.dead_load:
+    if not run.travel_name.endswith("_mm"):
         return "load factor", "load's potential", "mJ"
-    if scene.contacts:
+    if run.has_tools:
         return "punch travel", "punch force", "N"
     return "displacement", "force", "N"
 
 
-def _collapsed(result: Result) -> np.ndarray:
+def collapsed(sheet: FormedSheet) -> np.ndarray:
     """(n_triangles,) bool array: sheared past 85 degrees, or turned over in the plane."""
-    beyond = np.abs(result.shear_angle) > np.degrees(COLLAPSE)
-    if result.scene.dim == 2:
-        corners = result.positions()[result.blank.triangles]
-        beyond |= np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2] <= 0
-    return beyond
+    found = sheet.doubts()["collapsed"].copy()
+    if np.ptp(sheet.points[:, 2]) == 0:
+        found |= np.linalg.det(sheet.F[:, :2]) <= 0
+    return found
 
 
-def _colour_scale(result: Result) -> ScalarMappable:
-    """Colours from 0 to the first round angle that no triangle passes, but for collapsed ones."""
+def colour_scale(runs: Sequence[Record], end: float | None = None) -> ScalarMappable:
+    """Colours of |γ| from 0 to an end, degrees, or to that of `scale_end`."""
     from matplotlib import colormaps
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import LinearSegmentedColormap, Normalize
 
-    gamma = np.abs(result.shear_angle)[~_collapsed(result)]
-    end = next((s for s in SCALES if s >= gamma.max(initial=0.0)), SCALES[-1])
+    if end is None:
+        end = scale_end([run.sheet for run in runs])
     # the darkest end is left out: shading and fibre lines would not show on it
     shades = colormaps[COLOURS](np.linspace(0.02, 0.88, 256))
     return ScalarMappable(Normalize(0, end), LinearSegmentedColormap.from_list(COLOURS, shades))
 
 
-def _draw_colour_scale(figure: Figure, colours: ScalarMappable, **place: object) -> None:
-    orientation = "horizontal" if "cax" in place else "vertical"
-    bar = figure.colorbar(colours, orientation=orientation, label="shear angle |γ| in °", **place)
+def scale_end(sheets: Sequence[FormedSheet], least: float = 0.0) -> float:
+    """First round angle that no triangle passes, but for collapsed ones."""
+    largest = [np.abs(s.shear_angle)[~collapsed(s)].max(initial=least) for s in sheets]
+    return next((end for end in SCALES if end >= max(largest)), SCALES[-1])
+
+
+def draw_colour_bar(figure: Figure, colours: ScalarMappable, **place: Any) -> Axes:
+    """Draw the scale of colours; return its axes."""
+    bar = figure.colorbar(colours, label="shear angle |γ| in °", **place)
     bar.outline.set_linewidth(0.5)
+    return bar.ax
 
 
-def _draw_in_space(axes: Axes, result: Result, colours: ScalarMappable) -> None:
-    """Shaded view from slightly above; a bowl is turned over, so that its dome is seen."""
-    positions = result.positions()
-    turned_over = _is_bowl(result, positions)
-    view = _view(turned_over)
-    P = positions @ view.T
-    _paint(axes, result, P, colours, shaded=True)
-    _frame(axes, P)
-    _draw_triad(axes, view, P)
-    if turned_over:
-        axes.set_title("seen from below (the punch moved up, along −z)", pad=12)
+def view_of(run: Record) -> tuple[FloatArray, bool]:
+    """Rows to the right, up and towards the viewer, (3, 3); and whether a bowl is turned over."""
+    if run.in_plane:
+        return np.eye(3), False
+    turned_over = is_bowl(run)
+    return view_from(turned_over), turned_over
 
 
-def _is_bowl(result: Result, positions: FloatArray) -> bool:
-    """Whether tools have pushed the sheet below its rim."""
-    rim = np.unique(_rim(result.blank))
-    return bool(result.scene.contacts) and positions[rim, 2].mean() > positions[:, 2].mean()
+def is_bowl(run: Record) -> bool:
+    """Whether tools have pushed the sheet below its rim: it is shown upside down, as a dome."""
+    z = run.sheet.points[:, 2]
+    return run.has_tools and bool(z[np.concatenate(run.sheet.loops)].mean() > z.mean())
 
 
-def _view(turned_over: bool) -> FloatArray:
-    """(3, 3) rows: directions to the right, up and towards the viewer."""
+def view_from(turned_over: bool) -> FloatArray:
+    """(3, 3) rows: directions to the right, up and towards the viewer, from slightly above."""
     ca, sa, ce, se = np.cos(AZIMUTH), np.sin(AZIMUTH), np.cos(ELEVATION), np.sin(ELEVATION)
     view = np.array([[-sa, ca, 0.0], [-se * ca, -se * sa, ce], [ce * ca, ce * sa, se]])
     return view @ np.diag([1.0, -1.0, -1.0]) if turned_over else view
 
 
-def _paint(
-    axes: Axes, result: Result, P: FloatArray, colours: ScalarMappable | FloatArray, *, shaded: bool
-) -> None:
-    """Draw triangles from far to near, and the fibre lines that are seen.
+def draw_in_space(
+    axes: Axes, run: Record, colours: ScalarMappable, room: FloatArray | None = None
+) -> bool:
+    """Draw the shaded sheet in its view, which holds the points `room`; True if turned over."""
+    view, turned_over = view_of(run)
+    P = run.sheet.points @ view.T
+    paint(axes, run.sheet, P, shear_faces(run.sheet, colours), shaded=True)
+    frame(axes, P if room is None else room)
+    draw_triad(axes, view, P if room is None else room)
+    return turned_over
 
-    Parameters
-    ----------
-    axes : Axes
-    result : Result
-    P : (n_nodes, 3) array
-        Nodes in the view: to the right, up, towards the viewer, mm.
-    colours : ScalarMappable, or (n_triangles, 4) array
-        Of the shear angle, or by triangle.
-    shaded : bool
-        Shade the triangles by their normals.
+
+def shear_faces(sheet: FormedSheet, colours: ScalarMappable) -> FloatArray:
+    """(n_triangles, 4) colours of the shear angle, and of what has collapsed."""
+    from matplotlib.colors import to_rgba
+
+    faces = colours.to_rgba(np.abs(sheet.shear_angle))
+    faces[collapsed(sheet)] = to_rgba(COLLAPSED)
+    return faces
+
+
+def paint(
+    axes: Axes,
+    sheet: FormedSheet,
+    P: FloatArray,
+    faces: FloatArray,
+    *,
+    shaded: bool = False,
+    fibres: bool = True,
+) -> None:
+    """Draw triangles from far to near with their colours (m, 4), the fibre lines and the outline.
+
+    P (n, 3) are the nodes in the view: to the right, up, towards the viewer, mm.
     """
     from matplotlib.collections import PolyCollection
     from matplotlib.colors import to_rgba
 
-    blank = result.blank
-    collapsed = _collapsed(result)
-    if isinstance(colours, np.ndarray):
-        faces = colours.copy()
-    else:
-        faces = colours.to_rgba(np.abs(result.shear_angle))
-        faces[collapsed] = to_rgba(COLLAPSED)
+    failed, triangles = collapsed(sheet), sheet.triangles
+    faces = faces.copy()
     if shaded:
-        faces[:, :3] *= _shade(blank, P)[:, None]
-    depth = P[blank.triangles, 2].mean(1)
-    depth[collapsed] += 2.0 * np.sqrt(2.0 * blank.areas.max())  # slivers, which shall be seen
+        faces[:, :3] *= _shade(triangles, P)[:, None]
+    depth = P[triangles, 2].mean(1)
+    depth[failed] += 2.0 * np.sqrt(2.0 * sheet.flat_areas.max())  # slivers, which shall be seen
     order = np.argsort(depth, kind="stable")
     faces = np.clip(faces, 0.0, 1.0)[order]
     axes.add_collection(
         PolyCollection(
-            P[blank.triangles[order], :2],
+            P[triangles[order], :2],
             facecolors=faces,
             edgecolors=faces,
-            linewidths=np.where(collapsed, 1.5, 0.3)[order],
+            linewidths=np.where(failed, 1.5, 0.3)[order],
             joinstyle="round",
         )
     )
-    pitch = max(blank.size, np.ptp(blank.nodes, axis=0).max() / 20)
-    draw_lines(axes, P, blank.triangles, P[fibre_lines(blank, pitch)], to_rgba("black", 0.5), 0.35)
-    draw_lines(axes, P, blank.triangles, P[_rim(blank)], "0.1", 0.6)
+    if fibres:
+        lines = fibre_lines(sheet.blank, max(sheet.blank.size, extent(sheet) / 20))
+        draw_lines(axes, P, triangles, P[lines], to_rgba("black", 0.5), 0.35)
+        draw_lines(axes, P, triangles, P[rim(sheet)], "0.1", 0.6)
+
+
+def extent(sheet: FormedSheet) -> float:
+    """Larger side of the flat sheet, mm."""
+    return float(np.ptp(sheet.flat, axis=0).max())
+
+
+def rim(sheet: FormedSheet) -> np.ndarray:
+    """(n_segments, 2) nodes of the outlines."""
+    return np.vstack([np.column_stack([loop[:-1], loop[1:]]) for loop in sheet.loops])
 
 
 def draw_lines(
@@ -320,27 +351,15 @@ def draw_lines(
     colour: object,
     width: float,
 ) -> None:
-    """Draw segments (n, 2, 3) that lie on the sheet, joined, where no triangle hides them.
+    """Draw segments (k, 2, 3) that lie on the sheet, joined, where no triangle hides them.
 
-    Parameters
-    ----------
-    axes : Axes
-    P : (n_nodes, 3) array
-        Nodes in the view: to the right, up, towards the viewer, mm.
-    triangles : (n_triangles, 3) int array
-    segments : (n, 2, 3) array
-        In the view.
-    colour : colour of matplotlib
-    width : float
-        Points.
+    Segments and nodes P (n, 3) are those in the view; the width is in points.
     """
     from matplotlib.collections import LineCollection
 
     shown = segments[~hidden(P, triangles, segments.mean(1)), :, :2]
     pieces = shapely.multilinestrings(shapely.linestrings(np.round(shown, 6)))
-    lines = [
-        shapely.get_coordinates(part) for part in shapely.get_parts(shapely.line_merge(pieces))
-    ]
+    lines = [shapely.get_coordinates(p) for p in shapely.get_parts(shapely.line_merge(pieces))]
     axes.add_collection(
         LineCollection(lines, colors=[colour], linewidths=width, joinstyle="round", capstyle="butt")
     )
@@ -362,27 +381,34 @@ def hidden(P: FloatArray, triangles: np.ndarray, points: FloatArray) -> np.ndarr
     return np.bincount(at, depth > points[at, 2] + near, len(points)) > 0
 
 
-def _shade(blank: Blank, P: FloatArray) -> FloatArray:
+def node_normals(triangles: np.ndarray, P: FloatArray) -> FloatArray:
+    """(n_nodes, 3) sums of the normals of the triangles around a node, twice their area long."""
+    corners, normals = P[triangles], np.zeros((len(P), 3))
+    of_triangles = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    np.add.at(normals, triangles, of_triangles[:, None])
+    return normals
+
+
+def _shade(triangles: np.ndarray, P: FloatArray) -> FloatArray:
     """(n_triangles,) factors of the colours, from the normals averaged at the nodes."""
-    corners = P[blank.triangles]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    at_nodes = np.zeros((len(P), 3))
-    np.add.at(at_nodes, blank.triangles, normals[:, None])
-    n = at_nodes[blank.triangles].sum(1)
+    n = node_normals(triangles, P)[triangles].sum(1)
     n /= np.maximum(np.linalg.norm(n, axis=1), 1e-300)[:, None]
     n *= np.where(n[:, 2] < 0, -1.0, 1.0)[:, None]  # the side that is seen
-    light = LIGHT / np.linalg.norm(LIGHT)
-    return 0.55 + 0.5 * np.clip(n @ light, 0.0, 1.0)
+    return 0.55 + 0.5 * np.clip(n @ (LIGHT / np.linalg.norm(LIGHT)), 0.0, 1.0)
 
 
 def fibre_lines(blank: Blank, pitch: float) -> np.ndarray:
-    """(n_segments, 2) nodes of every so many fibre lines, about `pitch` mm apart when flat."""
-    kept = []
-    families = (("warp", blank.weft), ("weft", blank.warp)) if blank.pairs is None else ()
+    """(n_segments, 2) nodes of every so many fibre lines, about `pitch` mm apart when flat.
+
+    None where the mesh does not follow the fibres.
+    """
+    kept = [np.empty((0, 2), dtype=int)]
+    legs = blank.nodes[blank.triangles] - blank.nodes[np.roll(blank.triangles, 1, axis=1)]
+    legs /= np.linalg.norm(legs, axis=2)[:, :, None]
+    on_fibre = np.abs(legs @ np.column_stack([blank.warp, blank.weft])) > 1 - 1e-8
+    families = (("warp", blank.weft), ("weft", blank.warp)) if on_fibre.any((1, 2)).all() else ()
     for family, across in families:
         segments = blank.fibre_lines(family).t.T
-        if not len(segments):  # a mesh that does not follow the fibres
-            continue
         s = (blank.nodes @ across)[segments].mean(1)
         order = np.argsort(s)
         step = np.diff(s[order], prepend=s[order[0]])
@@ -392,39 +418,40 @@ def fibre_lines(blank: Blank, pitch: float) -> np.ndarray:
         every = max(1, round(pitch / np.median(step[new]))) if new.any() else 1
         middle = line[np.abs(s - blank.nodes.mean(0) @ across).argmin()]
         kept.append(segments[(line - middle) % every == 0])
-    return np.vstack([np.empty((0, 2), dtype=int), *kept])
+    return np.vstack(kept)
 
 
-def _draw_from_above(axes: Axes, result: Result, colours: ScalarMappable) -> list[Line2D]:
+def draw_flat_outline(axes: Axes, sheet: FormedSheet, **look: Any) -> list[FloatArray]:
+    """Dashed outlines of the flat sheet; return them, each (m, 2)."""
+    lines = [shapely.LineString(sheet.flat[loop]).simplify(1e-6).coords for loop in sheet.loops]
+    for line in map(np.asarray, lines):
+        axes.plot(*line.T, **{**DASHED, "zorder": 0.5, **look})
+    return [np.asarray(line) for line in lines]
+
+
+def _draw_from_above(axes: Axes, run: Record, colours: ScalarMappable) -> list[Line2D]:
     """Shear angle seen along z over the flat blank; grips, draw-in, areas (returns their rings)."""
-    blank, positions = result.blank, result.positions()
-    grips = _draw_grips(axes, result, positions)
-    for line in _outline(blank.nodes[_rim(blank)]):
-        axes.plot(*line.T, color="0.3", linewidth=0.8, linestyle=(0, (4, 3)), zorder=0.5)
-    _paint(axes, result, positions, colours, shaded=False)
-    rings = _draw_areas(axes, result, positions)
-    _draw_draw_in_arrows(axes, result)
-    _frame(axes, np.vstack([positions[:, :2], blank.nodes, *grips]))
-    if _collapsed(result).any():
+    sheet = run.sheet
+    grips = [] if run.gripped is None else draw_grips(axes, sheet, run.gripped)
+    draw_flat_outline(axes, sheet)
+    paint(axes, sheet, sheet.points, shear_faces(sheet, colours))
+    rings = _draw_areas(axes, run)
+    draw_draw_in_arrows(axes, run)
+    frame(axes, np.vstack([sheet.points[:, :2], sheet.flat, *grips]))
+    if collapsed(sheet).any():
         (mark,) = axes.plot([], [], "s", color=COLLAPSED, label="collapsed")
         axes.legend(handles=[mark], loc="lower left", borderaxespad=0, handletextpad=0)
-    if result.scene.edges:
+    if run.summary.get("draw_in_mm"):
         axes.set_title("seen from above; draw-in in mm", pad=12)
     return rings
 
 
-def _draw_grips(axes: Axes, result: Result, positions: FloatArray) -> list[FloatArray]:
-    """Hatch a band along the fully held parts of the outline; return the bands' outlines."""
-    scene, blank = result.scene, result.blank
-    held = scene.fixed[: scene.n_nodal].reshape(-1, scene.dim).all(1)[scene.whole[1]]
-    of_triangle = blank.mesh.f2t[0, blank.mesh.boundary_facets()]
-    rim = _rim(blank)
-    gripped = held[rim].all(1)
-    ends = positions[rim[gripped], :2]
-    inside = positions[blank.triangles[of_triangle[gripped]], :2].mean(1)
-    outward = (ends[:, 1] - ends[:, 0])[:, ::-1] * [1.0, -1.0]
-    outward *= np.sign((outward * (ends[:, 0] - inside)).sum(1))[:, None]
-    outward *= 0.04 * np.ptp(blank.nodes, axis=0).max() / np.linalg.norm(outward, axis=1)[:, None]
+def draw_grips(axes: Axes, sheet: FormedSheet, gripped: np.ndarray) -> list[FloatArray]:
+    """Hatch a band along the gripped parts of the outline; return the bands' outlines."""
+    segments = rim(sheet)
+    ends = sheet.points[segments[gripped[segments].all(1)], :2]
+    outward = (ends[:, 1] - ends[:, 0])[:, ::-1] * [1.0, -1.0]  # the sheet is on the left
+    outward *= 0.04 * extent(sheet) / np.linalg.norm(outward, axis=1)[:, None]
     strips = np.stack([ends[:, 0], ends[:, 1], ends[:, 1] + outward, ends[:, 0] + outward], axis=1)
     grips = shapely.get_parts(shapely.union_all(shapely.polygons(strips), grid_size=1e-6))
     outlines = [np.asarray(grip.exterior.coords) for grip in grips]
@@ -433,35 +460,33 @@ def _draw_grips(axes: Axes, result: Result, positions: FloatArray) -> list[Float
     return outlines
 
 
-def _draw_draw_in_arrows(axes: Axes, result: Result) -> None:
+def draw_draw_in_arrows(axes: Axes, run: Record) -> None:
     """Number and arrow of the draw-in at the middle of each edge, and where it is largest."""
-    scene = result.scene
     arrows = [
-        (scene.edges[name].flat, scene.edges[name].inward, draw_in, "")
-        for name, draw_in in result.draw_in.items()
+        (edge.flat, edge.inward, edge.draw_in(run.sheet.points), "")
+        for edge in _edges(run, run.sheet)
     ]
     if arrows:
-        arrows += _largest_draw_in(result)
-    away = 0.055 * np.ptp(result.blank.nodes, axis=0).max()
+        arrows += largest_draw_in(run.sheet)
+    away = 0.055 * extent(run.sheet)
     for flat, inward, draw_in, word in arrows:
         tilt = np.degrees(np.arctan2(inward[0], -inward[1]))
-        _draw_arrow(axes, flat, flat + draw_in * inward)
-        axes.text(
-            *(flat - away * inward),
-            f"{word}{round(draw_in, 1) + 0.0:.1f}",
-            ha="center",
-            va="center",
-            rotation=90.0 - (90.0 - tilt) % 180.0,
-            fontsize=7,
-        )
+        axes.annotate("", flat + draw_in * inward, flat, arrowprops=ARROW)
+        words = f"{word}{round(draw_in, 1) + 0.0:.1f}"
+        turn = 90.0 - (90.0 - tilt) % 180.0
+        axes.text(*(flat - away * inward), words, rotation=turn, **MIDDLE)
 
 
-def _largest_draw_in(result: Result) -> list[tuple[FloatArray, FloatArray, float, str]]:
+def _edges(run: Record, sheet: FormedSheet) -> list[Any]:
+    """Points of the outline where the draw-in is measured."""
+    found = edge_points(sheet.blank, float(run.parameters.get("turn", 0.0)))
+    return [found[name] for name in run.summary.get("draw_in_mm") or ()]
+
+
+def largest_draw_in(sheet: FormedSheet) -> list[tuple[FloatArray, FloatArray, float, str]]:
     """Where a blank that is no rectangle draws in most: flat place, inward normal, mm, a word."""
-    blank = result.blank
-    loop = blank.outline[0]
-    loop = loop[:-1] if loop[0] == loop[-1] else loop
-    X, x = blank.nodes[loop], result.positions()[loop, :2]
+    loop = sheet.loops[0][:-1]
+    X, x = sheet.flat[loop], sheet.points[loop, :2]
     flat = shapely.Polygon(X)
     if flat.area > 0.99 * flat.minimum_rotated_rectangle.area:
         return []
@@ -473,8 +498,8 @@ def _largest_draw_in(result: Result) -> list[tuple[FloatArray, FloatArray, float
     return [(X[most], inward[most], float(draw_in[most]), "most ")]
 
 
-def _draw_areas(axes: Axes, result: Result, positions: FloatArray) -> list[Line2D]:
-    """Rings around the named areas where the sheet has carried them, with their mean angle."""
+def _draw_areas(axes: Axes, run: Record) -> list[Line2D]:
+    """Rings around the named areas on the formed sheet, with their mean angle."""
     from matplotlib.colors import is_color_like
     from matplotlib.patheffects import Normal, Stroke
 
@@ -483,45 +508,27 @@ def _draw_areas(axes: Axes, result: Result, positions: FloatArray) -> list[Line2
     rims = [Stroke(linewidth=w, foreground=c) for w, c in ((2.8, "black"), (2.2, "white"))]
     rims.append(Normal())
     rings = []
-    for name, mean in result.areas.items():
-        centre, radius = result.scene.areas[name]
-        ring = _carried(result.blank, positions[:, :2], centre + radius * circle)
+    for name, mean in (run.summary.get("areas") or {}).items():
+        centre, radius = run.areas[name]
+        ring = formed_places(run.sheet, centre + radius * circle)
         colour = name if is_color_like(name) else "black"
-        rings += axes.plot(
-            *ring.T,
-            color=colour,
-            linewidth=1.2,
-            path_effects=rims,
-            label=_plain(f"{name} –" if mean is None else f"{name} {mean:.1f}°"),
-        )
+        label = plain(f"{name} –" if mean is None else f"{name} {mean:.1f}°")
+        rings += axes.plot(*ring.T, color=colour, linewidth=1.2, path_effects=rims, label=label)
     return rings
 
 
-def _carried(blank: Blank, positions: FloatArray, points: FloatArray) -> FloatArray:
-    """Deformed places (n, 2) of those flat points that lie on the blank."""
-    tree = shapely.STRtree(shapely.polygons(blank.nodes[blank.triangles]))
+def formed_places(sheet: FormedSheet, points: FloatArray) -> FloatArray:
+    """Formed places (n, 2), seen along z, of those flat points that lie on the sheet."""
+    tree = shapely.STRtree(shapely.polygons(sheet.flat[sheet.triangles]))
     at, triangle = tree.query(shapely.points(points), predicate="intersects")
     at, first = np.unique(at, return_index=True)
-    corners = blank.triangles[triangle[first]]
-    X, x = blank.nodes[corners], positions[corners]
-    shares = np.linalg.solve(
-        (X[:, 1:] - X[:, :1]).transpose(0, 2, 1), (points[at] - X[:, 0])[..., None]
-    )
-    return x[:, 0] + ((x[:, 1:] - x[:, :1]) * shares).sum(1)
+    triangle = triangle[first]
+    corner = sheet.triangles[triangle, 0]
+    moved = np.einsum("nij,nj->ni", sheet.F[triangle], points[at] - sheet.flat[corner])
+    return (sheet.points[corner] + moved)[:, :2]
 
 
-def _rim(blank: Blank) -> np.ndarray:
-    """(n_segments, 2) nodes of the outline."""
-    return blank.mesh.facets[:, blank.mesh.boundary_facets()].T
-
-
-def _outline(segments: FloatArray) -> list[FloatArray]:
-    """Join segments (n, 2, 2) to lines, each (m, 2), without points on straight stretches."""
-    lines = shapely.line_merge(shapely.union_all(shapely.linestrings(segments)))
-    return [np.asarray(line.coords) for line in shapely.get_parts(lines.simplify(1e-6))]
-
-
-def _frame(axes: Axes, points: FloatArray) -> None:
+def frame(axes: Axes, points: FloatArray) -> None:
     """Equal scales, no axes, and a scale bar below the points (n, 2 or more), mm."""
     low, high = points[:, :2].min(0), points[:, :2].max(0)
     extent = (high - low).max()
@@ -529,71 +536,71 @@ def _frame(axes: Axes, points: FloatArray) -> None:
     bar = max(step * power for step in (1, 2, 5) if step * power <= extent / 3)
     y = low[1] - 0.05 * extent
     axes.plot([high[0] - bar, high[0]], [y, y], color="black", linewidth=1.5, solid_capstyle="butt")
-    axes.text(
-        high[0] - bar / 2, y - 0.015 * extent, f"{bar:g} mm", ha="center", va="top", fontsize=7
-    )
+    below = high[0] - bar / 2, y - 0.015 * extent
+    axes.text(*below, f"{bar:g} mm", **MIDDLE | {"va": "top"})
     axes.set_xlim(low[0] - 0.03 * extent, high[0] + 0.03 * extent)
     axes.set_ylim(y - 0.06 * extent, high[1] + 0.03 * extent)
     axes.set_aspect("equal")
     axes.axis("off")
 
 
-def _draw_triad(axes: Axes, view: FloatArray, P: FloatArray) -> None:
-    """Directions of x, y and z in the lower left corner."""
+def draw_triad(axes: Axes, view: FloatArray, P: FloatArray) -> None:
+    """Directions of x, y and z in the lower left corner; what points at the viewer is left out."""
     low = P[:, :2].min(0)
     arm = 0.09 * np.ptp(P[:, :2], axis=0).max()
     origin = low + np.array([arm, 0.0])
     for name, direction in zip("xyz", view.T[:, :2], strict=True):
-        _draw_arrow(axes, origin, origin + arm * direction)
-        axes.text(*(origin + 1.3 * arm * direction), name, ha="center", va="center", fontsize=7)
+        if np.linalg.norm(direction) < 0.1:
+            continue
+        axes.annotate("", origin + arm * direction, origin, arrowprops=ARROW)
+        axes.text(*(origin + 1.3 * arm * direction), name, **MIDDLE)
 
 
-def _draw_arrow(axes: Axes, start: FloatArray, end: FloatArray) -> None:
-    axes.annotate(
-        "",
-        end,
-        start,
-        arrowprops={
-            "arrowstyle": "-|>,head_width=0.12,head_length=0.25",
-            "linewidth": 0.8,
-            "color": "black",
-            "shrinkA": 0,
-            "shrinkB": 0,
-        },
-    )
-
-
-def _draw_force(axes: Axes, result: Result) -> None:
-    """Force over travel; faded from a collapse on, with the closed form of an off-axis test."""
-    travel = np.array([s.travel for s in result.rows])
-    force = np.array([s.force for s in result.rows])
-    until = result.collapse["travel_mm"] if result.collapse else np.inf
-    n = max(1, int(np.sum(travel < until)))
-    first = int(_scale_force(axes, force, force[:n]))  # no force at the start: not on a log scale
-    (curve,) = axes.plot(travel[first:n], force[first:n], "o-", **CURVE)
+def draw_force(
+    axes: Axes, run: Record, look: dict[str, Any], label: str | None = None, tail: str | None = None
+) -> None:
+    """Force over travel; faded from a collapse on, hollow where it is that of a coarser mesh."""
+    travel, force = run.history[run.travel_name], run.history["force_N"]
+    n = sound_rows(run)
+    first = int(axes.get_yscale() == "log")  # no force at the start
+    marks = {"marker": look.get("marker", "o"), "markersize": look.get("markersize", 2)}
+    look = {"clip_on": False, **look}
+    axes.plot(travel[first:n], force[first:n], **look, label=label)
     if n < len(travel):
-        axes.plot(
-            travel[n - 1 :],
-            force[n - 1 :],
-            ":",
-            color=FIRST,
-            alpha=0.6,
-            label="collapsed:\nforce not meaningful",
-        )
-    known = _off_axis_theory(result)
+        faded = {"color": look["color"], "linestyle": ":", "alpha": 0.6}
+        axes.plot(travel[n - 1 :], force[n - 1 :], **faded, label=tail)
+    sizes = run.history.get("size_mm", np.zeros(len(travel)))
+    coarse = (sizes > sizes[-1] * (1 + 1e-9))[first:n]
+    if coarse.any():
+        hollow = {**marks, "color": look["color"], "markerfacecolor": "white", "linestyle": ""}
+        axes.plot(travel[first:n][coarse], force[first:n][coarse], **hollow)
+
+
+def sound_rows(run: Record) -> int:
+    """How many rows of the history there are before a collapse, at least one."""
+    collapse = run.summary.get("collapse")
+    travel = run.history[run.travel_name]
+    return max(1, int(np.sum(travel < (collapse["travel_mm"] if collapse else np.inf))))
+
+
+def _draw_force_panel(axes: Axes, run: Record) -> None:
+    """Force over travel, with the closed form of an off-axis test."""
+    travel, force = run.history[run.travel_name], run.history["force_N"]
+    scale_force(axes, force, force[: sound_rows(run)])
+    known = off_axis_theory(run)
+    look = CURVE | {"marker": "o", "linestyle": "-"}
+    draw_force(axes, run, look, "computed" if known else None, "collapsed:\nforce not meaningful")
     if known:
-        curve.set_label("computed")
         u, _, f = known
-        label = "power balance,\ninextensible fibres"
-        axes.plot(u, f, "--", color="0.4", linewidth=0.9, label=label)
-    _, name, unit = _words(result)
-    if result.reason:
+        axes.plot(u, f, **THEORY, label="power balance,\ninextensible fibres")
+    _, name, unit = _words(run)
+    if run.summary["reason"]:
         label = f"stopped at {travel[-1]:.4g}{' mm' if unit == 'N' else ''}"
         axes.plot([], [], "X", color=STOP, markersize=6, label=label)
-    _finish_panel(axes, result, travel[-1], force[-1], f"{name} in {unit}")
+    _finish_panel(axes, run, travel[-1], force[-1], f"{name} in {unit}")
 
 
-def _scale_force(axes: Axes, force: FloatArray, sound: FloatArray) -> bool:
+def scale_force(axes: Axes, force: FloatArray, sound: FloatArray) -> bool:
     """Let the sound part of the force fill the panel; on a log scale (True) where it locks."""
     rising = sound[1:]
     if len(rising) and 0 < 50.0 * np.quantile(rising, 0.3) < rising.max() and rising.min() > 0:
@@ -609,37 +616,29 @@ def _scale_force(axes: Axes, force: FloatArray, sound: FloatArray) -> bool:
     return False
 
 
-def _draw_shear_angles(axes: Axes, result: Result) -> None:
+def _draw_shear_angles(axes: Axes, run: Record) -> None:
     """Largest shear angle over travel, and that at the centre or the 99th percentile."""
-    travel = np.array([s.travel for s in result.rows])
-    gamma = [np.abs(at.shear_angles(i)) for at, i in result.followed]
-    largest = np.array([g.max() for g in gamma])
+    travel = np.array(run.sheets.travels)
+    found = [(np.abs(sheet.shear_angle), sheet.flat_areas) for sheet in run.sheets]
+    largest = np.array([gamma.max() for gamma, _ in found])
     axes.plot(travel, largest, "o-", **CURVE | {"markersize": 4}, mfc="white", label="largest")
-    centre = result.history.get("shear_angle_center_deg")
-    if centre is not None:
-        axes.plot(travel, centre, "s-", **CURVE | {"color": SECOND}, label="centre")
-    else:
-        areas = [at.blank.areas for at, _ in result.followed]
-        p99 = [percentile(g, area, 0.99) for g, area in zip(gamma, areas, strict=True)]
-        axes.plot(travel, p99, "s-", **CURVE | {"color": SECOND}, label="99th percentile")
-    known = _off_axis_theory(result)
+    other, label = run.history.get("shear_angle_center_deg"), "centre"
+    if other is None or len(other) != len(travel):
+        other, label = [percentile(g, area, 0.99) for g, area in found], "99th percentile"
+    axes.plot(travel, other, "s-", **CURVE | {"color": SECOND}, label=label)
+    known = off_axis_theory(run)
     if known:
         u, angle, _ = known
-        axes.plot(
-            u, angle, "--", color="0.4", linewidth=0.9, label="kinematic,\ninextensible fibres"
-        )
+        axes.plot(u, angle, **THEORY, label="kinematic,\ninextensible fibres")
     axes.set_ylim(0.0, max(1.0, 1.1 * largest.max()))
-    _finish_panel(axes, result, travel[-1], largest[-1], "shear angle |γ| in °")
+    _finish_panel(axes, run, travel[-1], largest[-1], "shear angle |γ| in °")
 
 
-def _draw_draw_in(axes: Axes, result: Result) -> None:
+def _draw_draw_in(axes: Axes, run: Record) -> None:
     """Draw-in over travel: mean of the mid-edges and their range."""
-    travel = np.array([s.travel for s in result.rows])
+    travel = np.array(run.sheets.travels)
     draw_in = np.array(
-        [
-            [edge.draw_in(at.positions(i)) for edge in at.scene.edges.values()]
-            for at, i in result.followed
-        ]
+        [[edge.draw_in(sheet.points) for edge in _edges(run, sheet)] for sheet in run.sheets]
     )
     mean = draw_in.mean(1)
     axes.plot(travel, mean, "o-", **CURVE, label="mean of the edges")
@@ -647,36 +646,33 @@ def _draw_draw_in(axes: Axes, result: Result) -> None:
     if (high - low).max() > max(0.1, 0.02 * np.abs(mean).max()):
         axes.fill_between(travel, low, high, color=FIRST, alpha=0.2, linewidth=0, label="range")
     axes.set_ylim(min(0.0, 1.1 * draw_in.min()), max(1.0, 1.1 * draw_in.max()))
-    _finish_panel(axes, result, travel[-1], mean[-1], "draw-in in mm")
+    _finish_panel(axes, run, travel[-1], mean[-1], "draw-in in mm")
 
 
-def _finish_panel(axes: Axes, result: Result, travel: float, value: float, label: str) -> None:
+def _finish_panel(axes: Axes, run: Record, travel: float, value: float, label: str) -> None:
     """Label a panel over the travel and mark where a stopped run ended."""
-    if result.reason:
+    if run.summary["reason"]:
         axes.plot(travel, value, "X", color=STOP, markersize=6, zorder=3)
-    name, _, unit = _words(result)
-    axes.set_xlim(0.0, 1.02 * _goal(result))
+    name, _, unit = _words(run)
+    axes.set_xlim(0.0, 1.02 * run.goal)
     axes.set_xlabel(f"{name} in mm" if unit == "N" else name)
     axes.set_ylabel(label)
     if axes.get_legend_handles_labels()[0]:
         axes.legend(loc="best")
 
 
-def _goal(result: Result) -> float:
-    """End of the travel axis: the goal, also where a run stopped before it."""
-    return max(result.states[-1].travel, result.scene.travel) or 1.0
-
-
-def _off_axis_theory(result: Result) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+def off_axis_theory(run: Record) -> tuple[FloatArray, FloatArray, FloatArray] | None:
     """Displacement (mm), shear angle (degrees) and force (N) with inextensible fibres, if known."""
-    scene = result.scene
-    if "shear_angle_center_deg" not in scene.measures:
+    from ..theory import OffAxisTension
+
+    if "shear_angle_center_deg" not in run.history or run.model is None:
         return None
-    length, width, angle = (scene.parameters.get(key) for key in ("length", "width", "angle"))
+    length, width, angle = (run.parameters.get(key) for key in ("length", "width", "angle"))
     try:
         strip = OffAxisTension(length, width, np.radians(angle))
     except (TypeError, ValueError):  # a size is not known, or a fibre joins both grips
         return None
-    u = np.linspace(0.0, min(_goal(result), 0.999 * strip.displacement_limit), 200)
-    force = strip.force(u, scene.fabric.shear.stress, scene.fabric.thickness)
+    u = np.linspace(0.0, min(run.goal, 0.999 * strip.displacement_limit), 200)
+    fabric = run.model.fabric
+    force = strip.force(u, fabric.shear.stress, fabric.thickness)
     return u, np.degrees(strip.angles(u)[0]), force

@@ -21,27 +21,27 @@ from __future__ import annotations
 import numpy as np
 from skfem import Basis, ElementLineP1
 
-from ..fabric import Fabric
 from ..net.blank import Blank
+from ..unknowns import Sheet
+from .term import Term
 
 FloatArray = np.ndarray
 IntArray = np.ndarray
 
 
-class Bending:
+class Bending(Term):
     """Bending of warp and weft lines, five nodes a stencil: (centre, warp -, +, weft -, +).
 
     Parameters
     ----------
-    blank : Blank
-    fabric : Fabric
+    sheet : Sheet
+        In space.
     clamped : (n_nodes,) bool array, optional
         Nodes in a clamp: lines that end there keep their flat direction.
     """
 
-    name = "bending"
-
-    def __init__(self, blank: Blank, fabric: Fabric, clamped: np.ndarray | None = None) -> None:
+    def __init__(self, sheet: Sheet, clamped: np.ndarray | None = None) -> None:
+        blank = sheet.blank
         n = len(blank.nodes)
         rows = np.zeros((n, 4, 5, 3))  # k_warp, k_weft, u, v as combinations of the five nodes
         constant = np.zeros((n, 4, 3))
@@ -89,11 +89,11 @@ class Bending:
             constant[:, 2 + f] = fixed.sum(0) / count[:, None]
         bent = (np.abs(rows[:, :2]).sum((1, 2, 3)) > 0) & half_lengths.all(1)
         areas = half_lengths[bent].prod(1)
-        self._set(fabric, nodes[bent], rows[bent], constant[bent], areas)
+        self._set(sheet, nodes[bent], rows[bent], constant[bent], areas)
 
     def _set(
         self,
-        fabric: Fabric,
+        sheet: Sheet,
         nodes: IntArray,
         rows: FloatArray,
         constant: FloatArray,
@@ -103,7 +103,9 @@ class Bending:
         m, k = nodes.shape
         self.constant = constant
         self.operator = (rows[:, :, None] * np.eye(3)[None, None, :, None, :]).reshape(m, 12, 3 * k)
-        self.dofs = (3 * nodes[:, :, None] + np.arange(3)).reshape(m, 3 * k)
+        self.sheet, self.nodes, fabric = sheet, nodes, sheet.fabric
+        self.name = f"bending of the {sheet.name}" if sheet.name != "sheet" else "bending"
+        self.dofs = sheet.dofs[nodes].reshape(m, 3 * k)
         self.stiffness = areas[:, None] * [fabric.bending_warp, fabric.bending_weft]
         self.in_plane = fabric.in_plane_bending
         self.quadratic = self.in_plane == 1
@@ -125,7 +127,7 @@ class Bending:
         length = np.linalg.norm(m, axis=1)
         return k, u, v, m / length[:, None], length
 
-    def energy(self, x: FloatArray) -> FloatArray:
+    def energy(self, x: FloatArray, state: None = None) -> FloatArray:
         """Energy of each stencil, mJ."""
         r = self.in_plane
         if r == 1:
@@ -146,7 +148,7 @@ class Bending:
         d[:, :, 3] = np.cross(q, u[:, None])
         return k, u, v, n, length, kappa, q, d
 
-    def gradient(self, x: FloatArray) -> FloatArray:
+    def gradient(self, x: FloatArray, state: None = None) -> FloatArray:
         """Nodal forces of each stencil, N."""
         r = self.in_plane
         if r == 1:
@@ -157,7 +159,7 @@ class Bending:
         force[:, :2] += r * self.stiffness[..., None] * k
         return (force.reshape(-1, 1, 12) @ self.operator)[:, 0]
 
-    def hessian(self, x: FloatArray, convex: bool) -> FloatArray:
+    def hessian(self, x: FloatArray, state: None, convex: bool) -> FloatArray:
         """Stiffness of each stencil, N/mm; positive semi-definite with `convex`.
 
         The convex variant leaves out the part with the second derivative of κ (Gauss-Newton).

@@ -29,12 +29,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import shapely
 from scipy.sparse import csr_array
 
-from ..fabric import Fabric
 from ..net.blank import Blank
 from ..tools.shapes import Distance, Tool
+from ..unknowns import Sheet
+from .term import Term
 
 FloatArray = np.ndarray
 IntArray = np.ndarray
@@ -106,51 +106,54 @@ def at_edges(blank: Blank) -> Points:
     return Points(" between nodes", edges, np.full((*edges.shape, 3), 0.5), areas, SAG * length)
 
 
-class Contact:
+class Contact(Term):
     """Normal contact of points of the sheet with one tool.
 
     Parameters
     ----------
-    blank : Blank
-    fabric : Fabric
-        Supplies thickness t0 and compaction stiffness k.
+    sheet : Sheet
+        Its fabric supplies the thickness t0 and the compaction stiffness k.
     tool : Tool
-    tool_dof : int
-        Degree of freedom of the tool's height; those of its tilts follow.
+    tool_dofs : (1,) or (3,) int array
+        Numbers in x of the tool's height and, if it tilts, of its tilts.
     points : Points, optional
         Where the sheet touches; `at_nodes(blank)` if not given.
     """
 
+    selective = True
+
     def __init__(
-        self,
-        blank: Blank,
-        fabric: Fabric,
-        tool: Tool,
-        tool_dof: int,
-        points: Points | None = None,
+        self, sheet: Sheet, tool: Tool, tool_dofs: IntArray, points: Points | None = None
     ) -> None:
-        self.blank, self.tool = blank, tool
-        self.points = points or at_nodes(blank)
-        self.name = f"contact with {tool.name}{self.points.name}"
+        self.sheet, self.tool, self.tool_dofs = sheet, tool, np.ravel(tool_dofs)
+        self.points = points or at_nodes(sheet.blank)
+        whose = "" if sheet.name == "sheet" else f" of the {sheet.name}"
+        self.name = f"contact{whose} with {tool.name}{self.points.name}"
         m = len(self.points.nodes)
-        nodal = (3 * self.points.nodes[:, :, None] + np.arange(3)).reshape(m, -1)
-        self.tool_dofs = tool_dof + np.arange(3 if tool.tilts else 1)
+        nodal = sheet.dofs[self.points.nodes].reshape(m, -1)
         self.dofs = np.column_stack([nodal, np.tile(self.tool_dofs, (m, 1))])
         self.height_column = nodal.shape[1]
         component = np.tile(np.arange(3 * m).reshape(m, 3), (1, self.points.nodes.shape[1]))
-        mean = self.points.weights.ravel(), (component.ravel(), nodal.ravel())
-        self._mean = csr_array(mean, shape=(3 * m, 3 * len(blank.nodes)))  # places from nodes
+        flat = 3 * self.points.nodes[:, :, None] + np.arange(3)
+        mean = self.points.weights.ravel(), (component.ravel(), flat.ravel())
+        self._mean = csr_array(mean, shape=(3 * m, sheet.dofs.size))  # places from nodes
         # node and height move the point relative to the tool along this axis, by this share
         self._axes = np.append(np.tile([0, 1, 2], nodal.shape[1] // 3), 2)
         self._shares = np.column_stack([self.points.weights.reshape(m, -1), np.full(m, -1.0)])
         self._last: tuple[FloatArray, tuple] | None = None
         self.area = self.points.areas
-        self.reach = 0.5 * fabric.thickness - self.points.sag
-        self.compaction = fabric.compaction
+        self.reach = 0.5 * sheet.fabric.thickness - self.points.sag
+        self.compaction = sheet.fabric.compaction
 
-    def _arm(self, x: FloatArray) -> FloatArray:
+    @property
+    def places(self) -> FloatArray:
+        """(m, 2) flat places of the points, mm."""
+        nodes = self.sheet.blank.nodes[self.points.nodes]
+        return (self.points.weights[:, :, :2] * nodes).sum(1)
+
+    def arm(self, x: FloatArray) -> FloatArray:
         """(m, 3) places of the points relative to the tool's origin, mm."""
-        places = self._mean @ x[: self._mean.shape[1]]
+        places = self._mean @ self.sheet.positions(x).ravel()
         return places.reshape(-1, 3) - self.origin(x)
 
     def origin(self, x: FloatArray) -> FloatArray:
@@ -171,12 +174,12 @@ class Contact:
 
     def relative(self, x: FloatArray) -> FloatArray:
         """(m, 3) positions of the points in the tool's frame, mm."""
-        return self._at(x)[0]
+        return self.at(x)[0]
 
-    def _at(self, x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    def at(self, x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Positions in the tool's frame with d, n and its curvature there; kept for the last x."""
         if self._last is None or not np.array_equal(self._last[0], x):
-            y = self.in_tool_frame(x, self._arm(x))
+            y = self.in_tool_frame(x, self.arm(x))
             self._last = x.copy(), (y, *self.distance(y))
         return self._last[1]
 
@@ -197,11 +200,11 @@ class Contact:
 
     def penetration(self, x: FloatArray) -> FloatArray:
         """(m,) p, mm; negative where the sheet is clear of the tool."""
-        return self.reach - self._at(x)[1]
+        return self.reach - self.at(x)[1]
 
     def normal(self, x: FloatArray) -> FloatArray:
         """(m, 3) unit normals of the tool in its frame (the gradient of a grid is none)."""
-        n = self._at(x)[2]
+        n = self.at(x)[2]
         return n / np.maximum(np.linalg.norm(n, axis=1), 1e-12)[:, None]
 
     def pressure(self, x: FloatArray) -> FloatArray:
@@ -212,31 +215,31 @@ class Contact:
         """(n_nodes,) normal contact force spread to the nodes, N."""
         force = (self.area * self.pressure(x))[:, None] * self.points.weights.mean(2)
         return np.bincount(
-            self.points.nodes.ravel(), force.ravel(), minlength=len(self.blank.nodes)
+            self.points.nodes.ravel(), force.ravel(), minlength=len(self.sheet.blank.nodes)
         )
 
-    def energy(self, x: FloatArray) -> FloatArray:
+    def energy(self, x: FloatArray, state: None = None) -> FloatArray:
         """Energy of each point, mJ."""
         return self.area * self._law(self.penetration(x))[0]
 
-    def gradient(self, x: FloatArray) -> FloatArray:
+    def gradient(self, x: FloatArray, state: None = None) -> FloatArray:
         """(m, n_local) forces on nodes, tool height and tilts (by L), N."""
-        _, d, n, _ = self._at(x)
+        _, d, n, _ = self.at(x)
         force = -self.area * self._law(self.reach - d)[1]
         return self.pull_back(x, force[:, None] * n)
 
-    def active(self, x: FloatArray) -> IntArray:
+    def active(self, x: FloatArray, state: None = None) -> IntArray:
         """Numbers of the points that touch."""
         return np.flatnonzero(self.penetration(x) > 0)
 
     def hessian(
-        self, x: FloatArray, convex: bool, rows: IntArray | slice = slice(None)
+        self, x: FloatArray, state: None, convex: bool, rows: IntArray | slice = slice(None)
     ) -> FloatArray:
         """(m, n_local, n_local) stiffness, N/mm; with `convex` without the curvature of the tool.
 
         With `rows`, that of these points only.
         """
-        d, n, curvature = (of_all[rows] for of_all in self._at(x)[1:])
+        d, n, curvature = (of_all[rows] for of_all in self.at(x)[1:])
         _, pressure, stiffness = self._law(self.reach[rows] - d)
         area = self.area[rows]
         H = (area * stiffness)[:, None, None] * (n[:, :, None] * n[:, None, :])
@@ -252,7 +255,7 @@ class Contact:
         if not self.tool.tilts:
             return local
         A, B = self._turns(x)
-        arm = self._arm(x)
+        arm = self.arm(x)
         by_tilts = [(force * (arm @ turn.T)).sum(1) for turn in (B[0] @ A[1], B[1] @ A[0])]
         return np.column_stack([local, *by_tilts])
 
@@ -268,7 +271,7 @@ class Contact:
         if force is None or not self.tool.tilts:
             return local
         A, B = self._turns(x)
-        arm = self._arm(x)[rows]
+        arm = self.arm(x)[rows]
         for i, turn in ((-2, B[0] @ A[1]), (-1, B[1] @ A[0])):
             row = self._shares[rows] * (force @ turn)[:, self._axes]
             local[:, i, :-2] += row
@@ -285,37 +288,13 @@ class Contact:
         if not self.tool.tilts:
             return J
         A, B = self._turns(x)
-        arm = self._arm(x)[rows]
+        arm = self.arm(x)[rows]
         by_tilts = [arm @ turn.T for turn in (B[0] @ A[1], B[1] @ A[0])]
         return np.concatenate([J, np.stack(by_tilts, axis=2)], axis=2)
 
-    def surrounds(self, x: FloatArray, mirror: tuple[str, ...]) -> bool:
-        """Whether the points under the tool's flat face lie around its origin.
-
-        Parameters
-        ----------
-        x : (n_dofs,) array
-        mirror : tuple of "x" and "y"
-            Planes at which the modelled part continues.
-        """
-        _, d, n, _ = self._at(x)
-        under = self._arm(x)[(d < 5.0) & (np.abs(n[:, 2]) > 0.99), :2]
-        for axis, plane in enumerate("xy"):
-            if plane in mirror:
-                flip = np.ones(2)
-                flip[axis] = -1.0
-                under = np.vstack([under, under * flip])
-        return bool(shapely.MultiPoint(under).convex_hull.contains(shapely.Point(0.0, 0.0)))
-
-    def moment(self, x: FloatArray) -> FloatArray:
-        """(2,) moment of the contact forces on the tool about x and y through its origin, N mm."""
-        y, d, n, _ = self._at(x)
-        force = (-self.area * self._law(self.reach - d)[1])[:, None] * n
-        return np.cross(y, force).sum(0)[:2]
-
     def stiffness_bound(self, x: FloatArray) -> FloatArray:
         """(m, n_local) shares of the row sums of the stiffness if every point touched, N/mm."""
-        far = np.linalg.norm(self._arm(x), axis=1)[:, None] / LEVER
+        far = np.linalg.norm(self.arm(x), axis=1)[:, None] / LEVER
         tilts = [far, far] if self.tool.tilts else []
         nodal = np.abs(self.points.weights).reshape(len(far), -1)
         shares = np.column_stack([nodal, np.ones(len(far)), *tilts])
@@ -349,3 +328,30 @@ def _turn(angle: float, i: int, j: int) -> list[FloatArray]:
             R[3 - i - j, 3 - i - j] = 1.0
         series.append(R)
     return series
+
+
+def surrounds(contact: Contact, x: FloatArray) -> bool:
+    """Whether the points under the flat face of the tool lie around its origin.
+
+    Parameters
+    ----------
+    contact : Contact
+    x : (n_dofs,) array
+    """
+    import shapely
+
+    _, d, n, _ = contact.at(x)
+    under = contact.arm(x)[(d < 5.0) & (np.abs(n[:, 2]) > 0.99), :2]
+    for axis, plane in enumerate("xy"):
+        if plane in contact.sheet.blank.mirror:  # there the modelled part continues
+            flip = np.ones(2)
+            flip[axis] = -1.0
+            under = np.vstack([under, under * flip])
+    return bool(shapely.MultiPoint(under).convex_hull.contains(shapely.Point(0.0, 0.0)))
+
+
+def moment(contact: Contact, x: FloatArray) -> FloatArray:
+    """(2,) moment of the contact forces on the tool about x and y through its origin, N mm."""
+    y, _, n, _ = contact.at(x)
+    force = (-contact.area * contact.pressure(x))[:, None] * n
+    return np.cross(y, force).sum(0)[:2]

@@ -9,147 +9,170 @@ the tangential distance s = (1 - n n')(x - anchor) in the tool's frame,
 a Huber function: convex, with symmetric Hessian, and holding a stuck sheet exactly. K is fixed, so
 a change of λ moves no force onto a node that has not moved.
 
-Memory: `refresh` takes λ and n from the present state (repeated until the residual with refreshed
-values is small), `commit` moves the anchors after a converged increment. Evaluating changes
-nothing.
+The state holds λ and n, which `refresh` takes from the present x (repeated until the residual with
+refreshed values is small), and the anchors, which `commit` moves after a converged increment.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 
+from ..net.transfer import interpolated
 from .contact import Contact
+from .term import Standing, Term
 
 FloatArray = np.ndarray
 IntArray = np.ndarray
 STICK = 0.1  # stiffness of elastic stick per area, N/mm³
 
 
-class Friction:
+@dataclass(frozen=True, eq=False)
+class Rubbing:
+    """What friction remembers of m points of the sheet on a tool, in the tool's frame.
+
+    Parameters
+    ----------
+    points : (m, 3) array
+        Positions at the last commit, mm.
+    p : (m,) array
+        Penetrations there, mm.
+    touched : (m, 3) array
+        Anchors there, mm; nan for a point that did not touch.
+    anchor : (m, 3) array
+        Anchors now, mm: also of points that have come into touch since.
+    normal : (m, 3) array
+        n.
+    limit : (m,) array
+        μ λ, N.
+    """
+
+    points: FloatArray
+    p: FloatArray
+    touched: FloatArray
+    anchor: FloatArray
+    normal: FloatArray
+    limit: FloatArray
+
+
+class Friction(Term):
     """Friction of the sheet on one tool, at the points where it touches.
 
     Parameters
     ----------
     contact : Contact
         The normal contact with the same tool.
-    x : (n_dofs,) array
-        The start, mm.
     """
 
-    def __init__(self, contact: Contact, x: FloatArray) -> None:
+    selective = True
+    mixed = ("limit",)
+
+    def __init__(self, contact: Contact) -> None:
         self.name = contact.name.replace("contact", "friction")
-        self.contact = contact
-        self.dofs = contact.dofs
+        self.contact, self.dofs = contact, contact.dofs
         self.stick = STICK * contact.area
-        self.reset(x)
 
-    def reset(self, x: FloatArray) -> None:
-        """Forget everything: points that touch at x are anchored where they are."""
+    def initial(self, x: FloatArray) -> Rubbing:
+        """Points that touch at x are anchored where they are."""
         points, p = self.contact.relative(x), self.contact.penetration(x)
-        self.anchor = np.where((p > 0)[:, None], points, np.nan)
-        self._committed = points, p, self.anchor
-        self.refresh(x)
+        anchor = np.where((p > 0)[:, None], points, np.nan)
+        start = Rubbing(points, p, anchor, anchor, np.zeros_like(points), np.zeros_like(p))
+        return self.refresh(x, start)
 
-    def refresh(self, x: FloatArray) -> None:
+    def refresh(self, x: FloatArray, state: Rubbing) -> Rubbing:
         """Take normal forces and normals from x.
 
-        A node that has come into touch is anchored where its path since the last commit met the
+        A point that has come into touch is anchored where its path since the last commit met the
         tool, and stays anchored there while it touches: an anchor that followed it would let it
-        creep without end. Refreshing at the last committed state undoes all refreshing since.
+        creep without end.
         """
         points, p = self.contact.relative(x), self.contact.penetration(x)
-        self.normal = self.contact.normal(x)
-        self.limit = self.contact.tool.friction * self.contact.area * self.contact.pressure(x)
-        before, p_before, anchor = self._committed
-        fresh = (p_before <= 0) & (p > 0)
-        known = (fresh & ~np.isnan(self.anchor[:, 0]))[:, None]
-        part = np.where(fresh, -p_before / np.where(fresh, p - p_before, 1.0), 0.0)
-        touch = before + part[:, None] * (points - before)
-        self.anchor = np.where(known, self.anchor, np.where(fresh[:, None], touch, anchor))
+        fresh = (state.p <= 0) & (p > 0)
+        known = (fresh & ~np.isnan(state.anchor[:, 0]))[:, None]
+        part = np.where(fresh, -state.p / np.where(fresh, p - state.p, 1.0), 0.0)
+        touch = state.points + part[:, None] * (points - state.points)
+        anchor = np.where(fresh[:, None], touch, state.touched)
+        return replace(
+            state,
+            normal=self.contact.normal(x),
+            limit=self.contact.tool.friction * self.contact.area * self.contact.pressure(x),
+            anchor=np.where(known, state.anchor, anchor),
+        )
 
-    def commit(self, x: FloatArray) -> None:
-        """Move the anchors of slipping nodes; nodes that left the tool lose theirs."""
-        points = self.contact.relative(x)
-        p = self.contact.penetration(x)
-        s, length = self._slide(x)
-        keep = np.minimum(1.0, self.limit / (self.stick * np.maximum(length, 1e-300)))
-        self.anchor = np.where((p > 0)[:, None], points - keep[:, None] * s, np.nan)
-        self._committed = points, p, self.anchor
+    def commit(self, x: FloatArray, state: Rubbing) -> Rubbing:
+        """Move the anchors of slipping points; points that left the tool lose theirs."""
+        points, p = self.contact.relative(x), self.contact.penetration(x)
+        s, length = self._slide(points, state)
+        keep = np.minimum(1.0, state.limit / (self.stick * np.maximum(length, 1e-300)))
+        anchor = np.where((p > 0)[:, None], points - keep[:, None] * s, np.nan)
+        return replace(state, points=points, p=p, touched=anchor, anchor=anchor)
 
-    def memory(self) -> dict[str, FloatArray]:
-        """Return all that is remembered, as arrays by name."""
-        points, p, anchor = self._committed
-        return {
-            "points": points,
-            "p": p,
-            "touched": anchor,
-            "anchor": self.anchor,
-            "normal": self.normal,
-            "limit": self.limit,
-        }
+    def dissipated(self, before: Rubbing, after: Rubbing, x: FloatArray) -> float:
+        """Work of the friction forces by the trapezoidal rule, less what elastic stick stores."""
+        force = [self._force(state.points, state) for state in (before, after)]
+        work = (0.5 * (force[0] + force[1]) * (after.points - before.points)).sum()
+        stored = [self._energy(state.points, state).sum() for state in (before, after)]
+        return float(work - (stored[1] - stored[0]))
 
-    def recall(self, memory: dict[str, FloatArray]) -> None:
-        """Take over what `memory` returned."""
-        self._committed = memory["points"], memory["p"], memory["touched"]
-        self.anchor, self.normal, self.limit = (memory[k] for k in ("anchor", "normal", "limit"))
+    def carried(self, state: Rubbing | None, old: Standing | None, new: Standing) -> Rubbing:
+        """Take over from another mesh: each point slips from where it was one increment earlier.
 
-    def adopt(
-        self, x: FloatArray, before: FloatArray, touched: np.ndarray, limit: FloatArray
-    ) -> None:
-        """Take over from another mesh: x was reached from `before`, where points had touched.
-
-        Parameters
-        ----------
-        x, before : (n_dofs,) arrays, mm
-            Present positions, and those at the last commit; slip between them is not yet undone.
-        touched : (m,) bool array
-            Points that touched at the last commit.
-        limit : (m,) array
-            Greatest friction force, N, until the next `refresh`.
+        What a point bears is interpolated, until the contact forces of this mesh are found.
         """
-        points = self.contact.relative(before)
-        p = self.contact.penetration(before)
+        pressure = np.zeros(len(self.stick))
+        if state is not None and old is not None:
+            theirs = old.term.contact
+            pressure = interpolated(theirs.places, state.limit / theirs.area, self.contact.places)
+        touched = pressure > 0
+        points, p = self.contact.relative(new.before), self.contact.penetration(new.before)
         p = np.where(touched, np.maximum(p, 1e-9), np.minimum(p, 0.0))
-        self._committed = points, p, np.where(touched[:, None], points, np.nan)
-        self.normal, self.limit = self.contact.normal(x), limit
-        self.anchor = self._committed[2]
+        anchor = np.where(touched[:, None], points, np.nan)
+        limit = pressure * self.contact.area
+        return Rubbing(points, p, anchor, anchor, self.contact.normal(new.x), limit)
 
-    def _slide(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        arm = self.contact.relative(x) - self.anchor
+    def _slide(self, points: FloatArray, state: Rubbing) -> tuple[FloatArray, FloatArray]:
+        arm = points - state.anchor
         arm = np.where(np.isnan(arm), 0.0, arm)
-        s = arm - (arm * self.normal).sum(1)[:, None] * self.normal
+        s = arm - (arm * state.normal).sum(1)[:, None] * state.normal
         return s, np.linalg.norm(s, axis=1)
 
-    def energy(self, x: FloatArray) -> FloatArray:
+    def _energy(self, points: FloatArray, state: Rubbing) -> FloatArray:
+        _, length = self._slide(points, state)
+        reach = np.minimum(length, state.limit / self.stick)
+        return 0.5 * self.stick * reach**2 + state.limit * (length - reach)
+
+    def _force(self, points: FloatArray, state: Rubbing) -> FloatArray:
+        s, length = self._slide(points, state)
+        return s * np.minimum(self.stick, state.limit / np.maximum(length, 1e-300))[:, None]
+
+    def energy(self, x: FloatArray, state: Rubbing) -> FloatArray:
         """Energy of each point, mJ."""
-        _, length = self._slide(x)
-        reach = np.minimum(length, self.limit / self.stick)
-        return 0.5 * self.stick * reach**2 + self.limit * (length - reach)
+        return self._energy(self.contact.relative(x), state)
 
-    def force(self, x: FloatArray) -> FloatArray:
+    def force(self, x: FloatArray, state: Rubbing) -> FloatArray:
         """(m, 3) gradient by the position in the tool's frame, N."""
-        s, length = self._slide(x)
-        return s * np.minimum(self.stick, self.limit / np.maximum(length, 1e-300))[:, None]
+        return self._force(self.contact.relative(x), state)
 
-    def gradient(self, x: FloatArray) -> FloatArray:
+    def gradient(self, x: FloatArray, state: Rubbing) -> FloatArray:
         """(m, n_local) forces on nodes and tool, N."""
-        return self.contact.pull_back(x, self.force(x))
+        return self.contact.pull_back(x, self.force(x, state))
 
-    def active(self, x: FloatArray) -> IntArray:
+    def active(self, x: FloatArray, state: Rubbing) -> IntArray:
         """Numbers of the points that rub."""
-        return np.flatnonzero(self.limit > 0)
+        return np.flatnonzero(state.limit > 0)
 
     def hessian(
-        self, x: FloatArray, convex: bool, rows: IntArray | slice = slice(None)
+        self, x: FloatArray, state: Rubbing, convex: bool, rows: IntArray | slice = slice(None)
     ) -> FloatArray:
         """(m, n_local, n_local) stiffness, N/mm; positive semi-definite with `convex`.
 
         With `rows`, that of these points only.
         """
-        s, length = (of_all[rows] for of_all in self._slide(x))
-        n, limit, stick = self.normal[rows], self.limit[rows], self.stick[rows]
+        s, length = (of_all[rows] for of_all in self._slide(self.contact.relative(x), state))
+        n, limit, stick = state.normal[rows], state.limit[rows], self.stick[rows]
         P = np.eye(3) - n[:, :, None] * n[:, None, :]
-        slipping = stick * length > (1 - 1e-6) * limit  # a point at its limit goes on
+        slipping = stick * length > (1 - 1e-6) * limit  # a point at its limit slips on
         t = s / np.maximum(length, 1e-300)[:, None]
         across = P - t[:, :, None] * t[:, None, :]
         slope = limit / np.maximum(length, 1e-300)

@@ -8,14 +8,18 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..unknowns import Sheet
+from .term import Term
+
 FloatArray = np.ndarray
 
 
-class Grip:
+class Grip(Term):
     """A gripper on some nodes of a sheet in space.
 
     Parameters
     ----------
+    sheet : Sheet
     nodes : (m,) int array
     shares : (m,) array
         They sum to 1.
@@ -31,6 +35,7 @@ class Grip:
 
     def __init__(
         self,
+        sheet: Sheet,
         nodes: np.ndarray,
         shares: FloatArray,
         start: FloatArray,
@@ -38,23 +43,23 @@ class Grip:
         tension: float,
         stiffness: float,
     ) -> None:
-        self.dofs = 3 * nodes[:, None] + np.arange(3)
+        self.dofs = sheet.dofs[nodes]
         self.start, self.direction = start, direction
         self.tension, self.stiffness = shares * tension, shares * stiffness
 
     def _motion(self, x: FloatArray) -> FloatArray:
         return (x[self.dofs] - self.start) @ self.direction
 
-    def energy(self, x: FloatArray) -> FloatArray:
+    def energy(self, x: FloatArray, state: None = None) -> FloatArray:
         """(m,) energy, mJ."""
         u = self._motion(x)
         return 0.5 * self.stiffness * u**2 - self.tension * u
 
-    def gradient(self, x: FloatArray) -> FloatArray:
+    def gradient(self, x: FloatArray, state: None = None) -> FloatArray:
         """(m, 3) forces, N."""
         pull = self.stiffness * self._motion(x) - self.tension
         return pull[:, None] * self.direction
 
-    def hessian(self, x: FloatArray, convex: bool) -> FloatArray:
+    def hessian(self, x: FloatArray, state: None, convex: bool) -> FloatArray:
         """(m, 3, 3) stiffness, N/mm."""
         return self.stiffness[:, None, None] * np.outer(self.direction, self.direction)

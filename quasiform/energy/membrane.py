@@ -18,35 +18,33 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..fabric import Fabric, shear_angle
-from ..net.blank import Blank
+from ..fabric import shear_angle
+from ..unknowns import Sheet
+from .term import Term
 
 FloatArray = np.ndarray
 
 
-class Membrane:
+class Membrane(Term):
     """Tension of both fibre families and shear of a blank, in the plane (d = 2) or in space.
 
     Parameters
     ----------
-    blank : Blank
-    fabric : Fabric
-    dim : int
-        Position components a node, 2 or 3.
+    sheet : Sheet
     """
 
-    name = "membrane"
+    foresees = True
 
-    def __init__(self, blank: Blank, fabric: Fabric, dim: int) -> None:
-        self.fabric = fabric
-        self.dim = dim
+    def __init__(self, sheet: Sheet) -> None:
+        blank, self.sheet, self.fabric = sheet.blank, sheet, sheet.fabric
+        self.name = f"membrane of the {sheet.name}" if sheet.name != "sheet" else "membrane"
         nodes = blank.basis.element_dofs
-        self.dofs = (dim * nodes[:, None] + np.arange(dim)[:, None]).reshape(-1, nodes.shape[1]).T
+        self.dofs = sheet.dofs.T[:, nodes].swapaxes(0, 1).reshape(-1, nodes.shape[1]).T
         grad = np.stack([phi[0].grad[:, :, 0] for phi in blank.basis.basis])  # (3, 2, n)
         # derivatives of the three shape functions along warp and weft, (n_triangles, 2, 3)
         self._g = np.einsum("fc,icn->fin", np.stack([blank.warp, blank.weft]), grad)
         self.g = self._g.transpose(2, 0, 1)
-        self.volume = fabric.thickness * blank.areas
+        self.volume = sheet.fabric.thickness * blank.areas
         self._last: tuple[FloatArray, tuple[FloatArray, ...]] | None = None
 
     def _at(self, x: FloatArray) -> tuple[FloatArray, ...]:
@@ -76,7 +74,7 @@ class Membrane:
         """(n_triangles, 1 or 3) normal times area ratio; in the plane the determinant of F."""
         return cross(*self._at(x)[0]).T
 
-    def energy(self, x: FloatArray) -> FloatArray:
+    def energy(self, x: FloatArray, state: None = None) -> FloatArray:
         """Energy of each triangle, mJ."""
         _, I4, I6, I8 = self._at(x)
         fabric = self.fabric
@@ -95,7 +93,7 @@ class Membrane:
         S[1, 1] = 2.0 * self.fabric.weft.stress(I8, 1.0)
         return S
 
-    def gradient(self, x: FloatArray) -> FloatArray:
+    def gradient(self, x: FloatArray, state: None = None) -> FloatArray:
         """Nodal forces of each triangle, N."""
         S = self.volume * self._stress(x)
         return nodal_forces(self._g, S, self._at(x)[0])
@@ -111,7 +109,9 @@ class Membrane:
         S[1, 0] = S[0, 1]
         return S
 
-    def hessian(self, x: FloatArray, convex: bool, stress: FloatArray | None = None) -> FloatArray:
+    def hessian(
+        self, x: FloatArray, state: None, convex: bool, stress: FloatArray | None = None
+    ) -> FloatArray:
         """Stiffness of each triangle, N/mm; positive semi-definite with `convex`.
 
         A foreseen stress takes the place of that at x.

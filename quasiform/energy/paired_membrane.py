@@ -14,8 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..fabric import Fabric
-from ..net.blank import Blank
+from ..unknowns import Sheet
 from .membrane import (
     Membrane,
     along_fibres,
@@ -35,15 +34,12 @@ class PairedMembrane(Membrane):
 
     Parameters
     ----------
-    blank : Blank
-    fabric : Fabric
-    dim : int
-        Position components a node, 2 or 3.
+    sheet : Sheet
     """
 
-    def __init__(self, blank: Blank, fabric: Fabric, dim: int) -> None:
-        super().__init__(blank, fabric, dim)
-        pairs = blank.pairs
+    def __init__(self, sheet: Sheet) -> None:
+        super().__init__(sheet)
+        pairs = sheet.blank.pairs
         self.pairs = pairs
         self.dofs = np.hstack([self.dofs[pairs[:, t]] for t in (0, 1)])
         alone = pairs[:, 0] == pairs[:, 1]
@@ -75,12 +71,12 @@ class PairedMembrane(Membrane):
     def normals(self, x: FloatArray) -> FloatArray:
         """(n_triangles, 1 or 3) normal times area ratio of each triangle by itself."""
         each = self._at(x)[1]
-        normals = np.empty((len(self.pair_of), 1 if self.dim == 2 else 3))
+        normals = np.empty((len(self.pair_of), 1 if self.sheet.dim == 2 else 3))
         for own, triangles in zip(each, self.pairs.T, strict=True):
             normals[triangles] = cross(*own).T
         return normals
 
-    def energy(self, x: FloatArray) -> FloatArray:
+    def energy(self, x: FloatArray, state: None = None) -> FloatArray:
         """Energy of each pair, mJ."""
         _, _, I4, I6, I8 = self._at(x)
         fabric = self.fabric
@@ -96,7 +92,7 @@ class PairedMembrane(Membrane):
         shear[:, 0, 1] = shear[:, 1, 0] = self.fabric.shear.stress(I6)
         return tension, shear
 
-    def gradient(self, x: FloatArray) -> FloatArray:
+    def gradient(self, x: FloatArray, state: None = None) -> FloatArray:
         """(n_pairs, 6 dim) nodal forces, N."""
         f, each = self._at(x)[:2]
         tension, shear = self._stresses(x)
@@ -112,7 +108,9 @@ class PairedMembrane(Membrane):
         tension[1, 1] += 4.0 * self.fabric.weft.stiffness(I8, 1.0) * dot(f[1], df[1])
         return tension
 
-    def hessian(self, x: FloatArray, convex: bool, stress: FloatArray | None = None) -> FloatArray:
+    def hessian(
+        self, x: FloatArray, state: None, convex: bool, stress: FloatArray | None = None
+    ) -> FloatArray:
         """(n_pairs, 6 dim, 6 dim) stiffness, N/mm; positive semi-definite with `convex`.
 
         A foreseen tension takes the place of that at x.
@@ -133,6 +131,6 @@ class PairedMembrane(Membrane):
         return H
 
 
-def membrane_of(blank: Blank, fabric: Fabric, dim: int) -> Membrane:
-    """Return the membrane energy that fits the mesh of a blank."""
-    return (Membrane if blank.pairs is None else PairedMembrane)(blank, fabric, dim)
+def membrane_of(sheet: Sheet) -> Membrane:
+    """Return the membrane energy that fits the mesh of a sheet."""
+    return (Membrane if sheet.blank.pairs is None else PairedMembrane)(sheet)

@@ -14,8 +14,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse import csr_array
 
-from ..fabric import Fabric
-from ..net.blank import Blank
+from ..unknowns import Sheet
 from .bending import Bending
 
 FloatArray = np.ndarray
@@ -27,11 +26,12 @@ class PatchBending(Bending):
 
     Parameters
     ----------
-    blank : Blank
-    fabric : Fabric
+    sheet : Sheet
+        In space.
     """
 
-    def __init__(self, blank: Blank, fabric: Fabric) -> None:
+    def __init__(self, sheet: Sheet) -> None:
+        blank = sheet.blank
         n, edges = len(blank.nodes), blank.mesh.facets
         ones = np.ones(2 * edges.shape[1])
         ring = csr_array((ones, (np.r_[edges[0], edges[1]], np.r_[edges[1], edges[0]])), (n, n))
@@ -54,4 +54,4 @@ class PatchBending(Bending):
             for row, term in enumerate((2, 4, 0, 1)):
                 rows[i, row, 1 : 1 + len(near)] = fit[term, :, None]
                 rows[i, row, 0] = -fit[term].sum()
-        self._set(fabric, nodes, rows, np.zeros((n, 4, 3)), blank.node_areas)
+        self._set(sheet, nodes, rows, np.zeros((n, 4, 3)), blank.node_areas)

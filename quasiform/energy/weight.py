@@ -4,51 +4,53 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..net.blank import Blank
+from ..unknowns import Sheet
+from .term import Term
 
 FloatArray = np.ndarray
 GRAVITY = 9.81e-3  # N/g
 
 
-class SheetWeight:
+class SheetWeight(Term):
     """Weight of the sheet: E = q Σ w_i z_i with the load factor q as a degree of freedom.
 
     Raising q from 0 to 1 as the driven degree of freedom applies the weight in increments.
 
     Parameters
     ----------
-    blank : Blank
+    sheet : Sheet
+        In space.
     load : float
         Weight per area at q = 1, N/mm².
     factor_dof : int
-        Degree of freedom of q.
+        Number of q in x.
     """
 
     name = "weight of the sheet"
 
-    def __init__(self, blank: Blank, load: float, factor_dof: int) -> None:
-        nodes = np.arange(len(blank.nodes))
-        self.dofs = np.column_stack([3 * nodes + 2, 0 * nodes + factor_dof])
-        self.force = load * blank.node_areas
+    def __init__(self, sheet: Sheet, load: float, factor_dof: int) -> None:
+        height = sheet.dofs[:, 2]
+        self.dofs = np.column_stack([height, np.full_like(height, factor_dof)])
+        self.force = load * sheet.blank.node_areas
 
-    def energy(self, x: FloatArray) -> FloatArray:
+    def energy(self, x: FloatArray, state: None = None) -> FloatArray:
         """(n_nodes,) energy, mJ."""
         z, q = x[self.dofs].T
         return self.force * q * z
 
-    def gradient(self, x: FloatArray) -> FloatArray:
+    def gradient(self, x: FloatArray, state: None = None) -> FloatArray:
         """(n_nodes, 2) derivatives by z and q."""
         z, q = x[self.dofs].T
         return self.force[:, None] * np.column_stack([q, z])
 
-    def hessian(self, x: FloatArray, convex: bool) -> FloatArray:
+    def hessian(self, x: FloatArray, state: None, convex: bool) -> FloatArray:
         """(n_nodes, 2, 2); only the mixed derivative by z and q, which is not a stiffness."""
         H = np.zeros((len(self.force), 2, 2))
         H[:, 0, 1] = H[:, 1, 0] = self.force
         return H
 
 
-class ToolWeight:
+class ToolWeight(Term):
     """Weight of a floating tool and what else presses it down: E = P z.
 
     Parameters
@@ -66,14 +68,14 @@ class ToolWeight:
         self.dofs = np.array([[height_dof]])
         self.force = load
 
-    def energy(self, x: FloatArray) -> FloatArray:
+    def energy(self, x: FloatArray, state: None = None) -> FloatArray:
         """(1,) energy, mJ."""
         return self.force * x[self.dofs[0]]
 
-    def gradient(self, x: FloatArray) -> FloatArray:
+    def gradient(self, x: FloatArray, state: None = None) -> FloatArray:
         """(1, 1) weight, N."""
         return np.array([[self.force]])
 
-    def hessian(self, x: FloatArray, convex: bool) -> FloatArray:
+    def hessian(self, x: FloatArray, state: None, convex: bool) -> FloatArray:
         """(1, 1, 1) zeros."""
         return np.zeros((1, 1, 1))

@@ -6,17 +6,15 @@
     pattern = qf.flat_pattern("out/", "trim.csv")
     pattern.save("pattern/")
 
-What a format or the model cannot carry is told in `notices`, and in a file beside the others.
+What a format or the model cannot carry is in `notices`, and in a file beside the others.
 
-One file an idea: `part` (the formed sheet with its fibres), `target` (the user's mesh), `fibres`
-(directions by element), `inp`, `drape`, `table` (their files), `deck`, `tool_surface`, `pattern`,
-`drawing`.
+One file an idea: `fibres` (directions by element), `target` (the user's mesh), `keywords`, `inp`,
+`drape` and `table` (their files), `deck`, `tool_surface`, `pattern`, `drawing`.
 """
 
 from .deck import abaqus_deck
-from .fibres import Fibres, carry
+from .fibres import Fibres, carry, read_formed
 from .handover import FORMATS, Handover, export
-from .part import Part, part_of
 from .pattern import FlatPattern, flat_pattern
 
 __all__ = [
@@ -24,10 +22,9 @@ __all__ = [
     "Fibres",
     "FlatPattern",
     "Handover",
-    "Part",
     "abaqus_deck",
     "carry",
     "export",
     "flat_pattern",
-    "part_of",
+    "read_formed",
 ]

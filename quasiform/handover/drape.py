@@ -14,94 +14,81 @@ Altair Radioss 2021, Starter keyword /DRAPE; Altair OptiStruct 2021, bulk data e
 
 from __future__ import annotations
 
+from collections import namedtuple
 from pathlib import Path
 
 import numpy as np
 
-from .fibres import Fibres
-from .inp import write
+from .fibres import FAMILIES, Fibres
+from .keywords import write
 
 FloatArray = np.ndarray
-FLAT = np.sin(np.radians(5.0))  # a reference nearer to the normal has no projection
+STEEP = np.sin(np.radians(5.0))  # a reference nearer to the normal has no projection
 NOT_RUN = "the tables follow the published format and were not run in the solver"
 NO_WEIGHT = "areal weight is not in the table: it falls as the thinning does"
 GENERAL = (NOT_RUN, NO_WEIGHT)  # true of every part
 
 
-def radioss(fibres: Fibres, folder: Path, reference: FloatArray) -> tuple[str, ...]:
-    """Write drape_0000.rad, with the formed mesh as /NODE and /SH3N; notices."""
-    thinning, angles, kept, notices = _table(fibres, reference)
-    target = fibres.target
-    lines = ["#RADIOSS STARTER", *_told(fibres, "#", reference)]
-    if fibres.own:
-        lines += ["/NODE"]
-        for label, x in zip(target.nodes, target.points, strict=True):
-            lines.append(f"{label:>10}" + "".join(f"{c:>20.9g}" for c in x))
-        lines += ["/SH3N/1"]
-        for label, corners in zip(target.elements, target.nodes[target.corners], strict=True):
-            lines.append(f"{label:>10}" + "".join(f"{c:>10}" for c in corners[:3]))
-    for number, (name, angle) in enumerate(angles.items(), 1):
-        lines += [f"/DRAPE/{number}", f"{name} plies of {fibres.name}"]
-        for row in np.flatnonzero(kept):
-            kind = "SH3N" if target.triangular[row] else "SHELL"
-            lines.append(
-                f"{kind:<10}{target.elements[row]:>10}{thinning[row]:>20.6f}{angle[row]:>20.4f}"
-            )
-    write(folder / "drape_0000.rad", _ascii(lines))
-    return notices
+Code = namedtuple("Code", "file mark start nodes node cells cell table row")
+"""How a code writes: name of the file, mark of comments, lines, and patterns of `str.format`."""
+
+RADIOSS = Code(
+    *("drape_0000.rad", "#", ["#RADIOSS STARTER"]),
+    *(["/NODE"], "{:>10}{:>20.9g}{:>20.9g}{:>20.9g}"),
+    *(["/SH3N/1"], "{:>10}{:>10}{:>10}{:>10}"),
+    table="/DRAPE/{number}\n{family} plies of {part}",
+    row="{kind:<10}{label:>10}{thinning:>20.6f}{angle:>20.4f}",
+)
+OPTISTRUCT = Code(
+    *("drape.fem", "$", []),
+    *([], "GRID*   {:>16}                {:>16.8E}{:>16.8E}\n*       {:>16.8E}"),
+    *([], "CTRIA3  {:>8}       1{:>8}{:>8}{:>8}"),
+    table="$ {family} plies\nDRAPE   {number:>8}",
+    row="+       ELEM    {label:>8}{thinning:>8.5f}{angle:>8.2f}",
+)
 
 
-def optistruct(fibres: Fibres, folder: Path, reference: FloatArray) -> tuple[str, ...]:
-    """Write drape.fem, with the formed mesh as GRID and CTRIA3; notices."""
-    thinning, angles, kept, notices = _table(fibres, reference)
-    target = fibres.target
-    lines = _told(fibres, "$", reference)
-    if fibres.own:
-        for label, x in zip(target.nodes, target.points, strict=True):
-            lines.append(f"{'GRID*':<8}{label:>16}{'':>16}{x[0]:>16.8E}{x[1]:>16.8E}")
-            lines.append(f"{'*':<8}{x[2]:>16.8E}")
-        for label, corners in zip(target.elements, target.nodes[target.corners], strict=True):
-            fields = [label, 1, *corners[:3]]
-            lines.append(f"{'CTRIA3':<8}" + "".join(f"{v:>8}" for v in fields))
-    for number, (name, angle) in enumerate(angles.items(), 1):
-        lines += [f"$ {name} plies", f"{'DRAPE':<8}{number:>8}"]
-        for row in np.flatnonzero(kept):
-            label = target.elements[row]
-            lines.append(f"{'+':<8}{'ELEM':<8}{label:>8}{thinning[row]:>8.5f}{angle[row]:>8.2f}")
-    write(folder / "drape.fem", _ascii(lines))
-    return notices
-
-
-def _table(
-    fibres: Fibres, reference: FloatArray
-) -> tuple[FloatArray, dict[str, FloatArray], np.ndarray, tuple[str, ...]]:
-    """Thinning (m,), angles (m,) of warp and weft, which rows to write, and notices."""
-    n = fibres.target.normals
+def drape(fibres: Fibres, folder: Path, code: Code, reference: FloatArray) -> tuple[str, ...]:
+    """Write the tables, with the formed mesh where that is the one handed over; notices."""
+    target, known = fibres.target, fibres.known
+    n = target.normals
     projected = reference - (n @ reference)[:, None] * n
-    steep = np.linalg.norm(projected, axis=1) < FLAT
+    steep = np.linalg.norm(projected, axis=1) < STEEP
+    along = "({:g}, {:g}, {:g})".format(*reference)
     notices = [NOT_RUN]
-    if (lost := steep & fibres.known).any():
+    if (lost := steep & known).any():
         notices.append(
             f"{lost.sum()} elements stand across the reference direction and have no angle to it; "
             "they are left out of the table: choose another reference"
         )
-    angles = {name: fibres.angle(name, projected) for name in ("warp", "weft")}
     notices.append(
-        "the angles are from the direction ({:g}, {:g}, {:g}) projected into the element; the "
-        "thinning is the thickness over that of the flat fabric".format(*reference)
+        f"the angles are from the direction {along} projected into the element; the thinning is "
+        "the thickness over that of the flat fabric"
     )
-    notices.append(NO_WEIGHT)
-    return fibres.thickness_ratio, angles, fibres.known & ~steep, tuple(notices)
-
-
-def _told(fibres: Fibres, mark: str, reference: FloatArray) -> list[str]:
-    return [
-        f"{mark} Formed part of {fibres.name}; 1 warp plies, 2 weft plies, nominal angle 0",
-        f"{mark} Thinning t/t0; angle in degrees from ({', '.join(f'{c:g}' for c in reference)}) "
-        "projected into the element",
-        *(f"{mark} {notice}" for notice in fibres.notices),
+    header = [
+        f"Formed part of {fibres.name}; 1 warp plies, 2 weft plies, nominal angle 0",
+        f"Thinning t/t0; angle in degrees from {along} projected into the element",
+        *fibres.notices,
     ]
-
-
-def _ascii(lines: list[str]) -> list[str]:
-    return [line.replace("°", " deg").encode("ascii", "replace").decode() for line in lines]
+    lines = [*code.start, *(f"{code.mark} {line}" for line in header)]
+    if fibres.own:
+        corners = target.nodes[target.corners[:, :3]]
+        lines += code.nodes
+        lines += [code.node.format(*v) for v in zip(target.nodes, *target.points.T, strict=True)]
+        lines += code.cells
+        lines += [code.cell.format(*v) for v in zip(target.elements, *corners.T, strict=True)]
+    thinning = fibres.thickness_ratio
+    for number, family in enumerate(FAMILIES, 1):
+        angle = fibres.angle(family, projected)
+        lines.append(code.table.format(number=number, family=family, part=fibres.name))
+        lines += [
+            code.row.format(
+                kind="SH3N" if target.triangular[row] else "SHELL",
+                label=target.elements[row],
+                thinning=thinning[row],
+                angle=angle[row],
+            )
+            for row in np.flatnonzero(known & ~steep)
+        ]
+    write(folder / code.file, lines)
+    return (*notices, NO_WEIGHT)

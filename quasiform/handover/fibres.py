@@ -11,25 +11,27 @@ area, and are linear between. The directions are turned into the element's plane
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from ..checks import InputError, check_number
-from ..comparison.mapping import on_surface
-from ..comparison.sheet import at_nodes
-from .part import Part
-from .target import Target, of_triangles
+from ..comparison.mapping import on_surface, spacing
+from ..comparison.shells import Shells
+from ..result.record import Record
 
 FloatArray = np.ndarray
 AXES = ("warp", "weft", "bisector")
-STEEP = 30.0  # degrees between an element and the sheet: beyond, the projection is doubted
+FAMILIES = ("warp", "weft")
+STEEP = 30.0  # degrees between an element and the sheet: beyond, the projection is doubtful
 NOT_MODELLED = (
     "one ply is handed over: several plies, and their sliding on each other, are not modelled",
-    "rovings do not slip in the model, and the fabric does not tear or open: gaps are not carried",
+    "rovings do not slip in the model, and the fabric does not tear or open: it has no gaps",
     "thickness and areal weight follow from the area at constant volume and mass (assumed); "
     "compaction by tools and by a later infusion is not in them",
-    "stresses and contact pressures of the forming are not carried: the part is free of stress",
+    "stresses and contact pressures of the forming are left out: the part is free of stress",
 )
 
 
@@ -40,7 +42,7 @@ class Fibres:
     Parameters
     ----------
     name : str
-    target : Target
+    target : Shells
         All elements of the mesh.
     known : (m,) bool array
         Which of them lie on the sheet; the values of the others are nan.
@@ -48,19 +50,20 @@ class Fibres:
         Unit vectors in the element's plane.
     area_ratio : (m,) array
         J, formed area over flat area.
-    fabric : dict
+    fabric : mapping
+        thickness (mm), areal_weight (g/m²), laws of warp, weft and shear.
     own : bool
         Whether the mesh is the formed one.
     notices : tuple of str
     """
 
     name: str
-    target: Target
+    target: Shells
     known: np.ndarray
     warp: FloatArray
     weft: FloatArray
     area_ratio: FloatArray
-    fabric: dict = field(default_factory=dict)
+    fabric: Mapping[str, Any] = field(default_factory=dict)
     own: bool = True
     notices: tuple[str, ...] = ()
 
@@ -96,40 +99,63 @@ class Fibres:
         return np.degrees(np.arctan2((np.cross(a, b) * n).sum(1), (a * b).sum(1)))
 
 
-def carry(
-    part: Part,
-    target: Target | None = None,
-    within: float | None = None,
-) -> Fibres:
-    """Fibres of a part by element of its own or of another mesh.
-
-    Parameters
-    ----------
-    part : Part
-    target : Target, optional
-        The part's own mesh if not given.
-    within : float, optional
-        mm; elements whose centroid is farther from the sheet get nothing. The spacing of the
-        formed mesh if not given.
+def read_formed(source: Any) -> Record:
+    """Record of a run (a `Result`, a `Record` or a folder) whose last sheet can be handed over.
 
     Raises
     ------
     InputError
-        If no element is near the sheet.
+        Naming the file and what is missing in it.
     """
-    notices = [*part.notices, *NOT_MODELLED]
-    if target is None:
-        target = of_triangles(part.points, part.triangles)
-        known = np.ones(len(target.elements), dtype=bool)
-        return Fibres(
-            *(part.name, target, known, part.warp, part.weft, part.area_ratio, part.fabric, True),
-            tuple(notices),
+    record = Record.of(source)
+    where = "the result" if record.folder is None else str(record.folder / "summary.json")
+    if not record.fabric:
+        raise InputError(f"{where}: no parameters.fabric")
+    for name, zero in (("thickness", False), ("areal_weight", True)):
+        given = f"{where}: parameters.fabric.{name}"
+        check_number(given, record.fabric.get(name), zero_allowed=zero)
+    sheet, where = record.sheet, record.folder or "the result"
+    if not (sheet.area_ratio > 0).all():
+        raise InputError(f"{where}: a triangle has no area")
+    for name in FAMILIES:
+        vectors = sheet.cell_fields[name]
+        if vectors.shape[1:] != (3,) or (np.abs(np.linalg.norm(vectors, axis=1) - 1) > 1e-3).any():
+            raise InputError(f"{where}: the cell field '{name}' must be unit vectors")
+    return record
+
+
+def limits_of(record: Record) -> tuple[str, ...]:
+    """What makes the last sheet of a run doubtful."""
+    found = []
+    if record.summary.get("status") == "stopped":
+        found.append("the run stopped before its goal: the part is not fully formed")
+    if not record.certified:
+        found.append(f"the end state is not certified: {'; '.join(record.reasons)}")
+    doubt = np.asarray(record.sheet.cell_fields.get("doubt", ())) > 0
+    if doubt.any():
+        found.append(
+            f"{doubt.sum()} of {len(doubt)} triangles of the result are marked doubtful "
+            "(field 'doubt': beyond the tests of the fabric, unstable, collapsed, or rovings may "
+            "slip); the mark is not in the files"
         )
-    sheet = part.sheet
-    reach = sheet.spacing if within is None else check_number("within", within)
-    flat = np.pad(part.flat, ((0, 0), (0, 1)))
-    values = np.column_stack([part.warp, part.weft, part.area_ratio])
-    nodal = np.column_stack([at_nodes(column, flat, part.triangles) for column in values.T])
+    return tuple(found)
+
+
+def carry(record: Record, target: Shells | None = None, within: float | None = None) -> Fibres:
+    """Fibres of a run's last sheet (`read_formed`) by element of its own or of another mesh.
+
+    Elements whose centroid is farther than `within` (mm; the spacing of the formed mesh if not
+    given) from the sheet get nothing. If no element is near, InputError is raised.
+    """
+    sheet, notices = record.sheet, [*limits_of(record), *NOT_MODELLED]
+    values = [sheet.cell_fields["warp"], sheet.cell_fields["weft"], sheet.area_ratio]
+    if target is None:
+        target = Shells.counted(sheet.points, sheet.triangles)
+        known = np.ones(len(target.elements), dtype=bool)
+        own = (record.case, target, known, *values, record.fabric, True)
+        return Fibres(*own, tuple(notices))
+    reach = spacing(sheet) if within is None else check_number("within", within)
+    nodal = np.column_stack([sheet.at_nodes(column) for column in np.column_stack(values).T])
     found, distance = on_surface(nodal, sheet, target.centroids)
     known = distance <= reach
     if not known.any():
@@ -137,43 +163,37 @@ def carry(
             f"no element of the mesh is within {reach:.3g} mm of the formed sheet, the nearest is "
             f"{distance.min():.3g} mm away: are its place and its unit (scale) those of the sheet?"
         )
-    if not known.all():
-        far = target.elements[~known]
-        notices.append(
-            f"{len(far)} of {len(known)} elements are farther than {reach:.3g} mm from the sheet "
-            f"and get no fibres: {_some(far)}"
-        )
     found[~known] = np.nan
-    n = target.normals
-    axes, steep = [], np.zeros(len(known), dtype=bool)
+    n, axes, steep = target.normals, [], np.zeros(len(known), dtype=bool)
     for direction in (found[:, :3], found[:, 3:6]):
         direction = _unit(direction)
         out = (direction * n).sum(1)
         steep |= np.abs(out) > np.sin(np.radians(STEEP))
         axes.append(_unit(direction - out[:, None] * n))
+    if not known.all():
+        words = f"of {len(known)} elements are farther than {reach:.3g} mm from the sheet and get"
+        notices.append(_some(target.elements[~known], f"{words} no fibres"))
     if steep.any():
-        notices.append(
-            f"{steep.sum()} elements are tilted by more than {STEEP:g}° out of the sheet, their "
-            f"fibres are doubtful: {_some(target.elements[steep])}"
-        )
+        words = f"elements are tilted by more than {STEEP:g}° out of the sheet, their fibres are"
+        notices.append(_some(target.elements[steep], f"{words} doubtful"))
     against = (np.cross(*axes) * n).sum(1) < 0
     if against.any():
         notices.append(
             f"{against.sum()} elements have their normal against the sheet's upper side: seen "
             "along it the weft lies clockwise of the warp"
         )
-    moved = distance[known].max()
     notices.append(
-        f"mapped by the closest point of the formed mid-surface, at most {moved:.3g} mm away"
+        f"mapped by the closest point of the formed mid-surface, at most "
+        f"{distance[known].max():.3g} mm away"
     )
-    return Fibres(
-        *(part.name, target, known, *axes, found[:, 6], part.fabric, False), tuple(notices)
-    )
+    mapped = (record.case, target, known, *axes, found[:, 6], record.fabric, False)
+    return Fibres(*mapped, tuple(notices))
+
+
+def _some(labels: np.ndarray, words: str) -> str:
+    """How many elements, what about them, and the first few of their labels."""
+    return f"{len(labels)} {words}: {', '.join(map(str, labels[:5]))}{', ...' * (len(labels) > 5)}"
 
 
 def _unit(vectors: FloatArray) -> FloatArray:
     return vectors / np.linalg.norm(vectors, axis=1)[:, None]
-
-
-def _some(labels: np.ndarray) -> str:
-    return ", ".join(map(str, labels[:5])) + (", ..." if len(labels) > 5 else "")

@@ -5,16 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..checks import InputError, suggestion
 from ..result.files import replaced
-from ..result.run import Result, package_version
+from ..result.summary import package_version
 from . import drape, inp, table
-from .fibres import NOT_MODELLED, Fibres, carry
-from .part import part_of
+from .fibres import NOT_MODELLED, Fibres, carry, read_formed
+from .keywords import write_notices
 from .target import read_target
+
+if TYPE_CHECKING:
+    from ..result.record import Record
+    from ..result.run import Result
 
 FORMATS: dict[str, str] = {
     "abaqus": "S3 in two layers, orientations and thickness by *DISTRIBUTION",
@@ -55,7 +60,7 @@ class Handover:
 
 
 def export(
-    source: Result | str | Path,
+    source: Result | Record | str | Path,
     to: str,
     out: str | Path,
     *,
@@ -70,8 +75,8 @@ def export(
 
     Parameters
     ----------
-    source : Result or path
-        A result, or the folder of one.
+    source : Result, Record or path
+        A run, or the folder of one.
     to : str
         One of `FORMATS`: abaqus, abaqus-pair, calculix, radioss, optistruct, csv, vtu.
     out : path
@@ -103,25 +108,23 @@ def export(
     if to not in FORMATS:
         raise InputError(f"unknown format '{to}': {suggestion(to, FORMATS)}")
     direction = _direction(reference)
-    part = part_of(source)
-    target = None if mesh is None else read_target(mesh, scale)
-    fibres = carry(part, target, within)
+    record = read_formed(source)
+    fibres = carry(record, None if mesh is None else read_target(mesh, scale), within)
     writers: dict[str, Callable[[Path], tuple[str, ...]]] = {
         "abaqus": lambda folder: inp.abaqus(fibres, folder),
         "abaqus-pair": lambda folder: inp.abaqus(fibres, folder, pair=True),
         "calculix": lambda folder: inp.calculix(fibres, folder, axis),
-        "radioss": lambda folder: drape.radioss(fibres, folder, direction),
-        "optistruct": lambda folder: drape.optistruct(fibres, folder, direction),
+        "radioss": lambda folder: drape.drape(fibres, folder, drape.RADIOSS, direction),
+        "optistruct": lambda folder: drape.drape(fibres, folder, drape.OPTISTRUCT, direction),
         "csv": lambda folder: table.table(fibres, folder),
         "vtu": lambda folder: table.mesh(fibres, folder),
     }
     with replaced(out, force=force, names=FILES) as folder:
         notices = (*fibres.notices, *writers[to](folder))
-        told = [f"Hand-over of {part.name} ({to}), quasiform {package_version()}", ""]
-        told += [f"- {notice}" for notice in notices]
-        general = tuple(notice for notice in notices if notice in GENERAL)
-        (folder / NOTES).write_text("\n".join([*told, ""]), encoding="utf-8")
+        title = f"Hand-over of {record.case} ({to}), quasiform {package_version()}"
+        write_notices(folder / NOTES, title, notices)
         files = tuple(sorted(path.name for path in folder.iterdir()))
+    general = tuple(notice for notice in notices if notice in GENERAL)
     return Handover(Path(out), files, notices, fibres, general)
 
 

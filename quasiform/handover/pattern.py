@@ -10,22 +10,28 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import shapely
 
-from ..checks import InputError, check_number
-from ..comparison.mapping import closest, on_surface
-from ..comparison.table import read_table
-from ..net.blank import Blank
+from ..checks import InputError, check_number, optional
+from ..comparison.mapping import closest, on_surface, spacing
 from ..result.files import replaced
-from ..result.run import Result
-from ..scenes import scene_file
-from ..tools.shapes import Opening
-from ..tools.surface_file import normals_of, optional
-from .part import Part, part_of
+from ..result.sheet import FormedSheet
+from ..tables import read_table
+from ..tools.mending import normals_of
+from .drawing import Drawing, write_csv, write_dxf, write_svg
+from .fibres import limits_of, read_formed
+from .keywords import write_notices
+
+if TYPE_CHECKING:
+    import shapely
+
+    from ..result.record import Record
+    from ..result.run import Result
 
 FloatArray = np.ndarray
+Line = str | Path | FloatArray | Sequence[Sequence[float]]
 STEP = 0.25  # of the spacing: distance of the points that are mapped
 ASIDE = 0.01  # of the spacing: how far beside the rim of the sheet a line has left it
 HALVINGS = 30  # of an edge, to find where a line crosses it
@@ -40,36 +46,22 @@ NOT_MODELLED = (
 
 
 @dataclass(frozen=True, eq=False)
-class FlatPattern:
-    """A cut in the flat blank.
+class FlatPattern(Drawing):
+    """A cut in the flat blank: `trim`, `blank` and `along` as in `Drawing`.
 
     Parameters
     ----------
-    name : str
-        Of the part, as written into the files.
-    trim : list of (k, 2) arrays
-        Lines to cut along, mm; a closed one repeats its first point.
-    blank : list of (k, 2) arrays
-        Outline of the blank and of its holes, closed, mm.
-    along : (2, 2) array
-        Flat unit vectors of warp (0°) and weft (90°).
     notices : tuple of str
         What the pattern does not hold: that of this one, then that of them all (`NOT_MODELLED`).
-
-    Notes
-    -----
-    Seen from the upper side, where the punch is.
     """
 
-    name: str
-    trim: list[FloatArray]
-    blank: list[FloatArray]
-    along: FloatArray
-    notices: tuple[str, ...]
+    notices: tuple[str, ...] = ()
 
     @property
     def area(self) -> float:
         """Area inside the closed lines, those inside others as holes, mm²."""
+        import shapely
+
         rings = [shapely.Polygon(line) for line in self.trim if _closed(line)]
         found = shapely.Polygon()
         for ring in rings:
@@ -79,7 +71,7 @@ class FlatPattern:
     def save(self, out: str | Path, *, force: bool = False) -> Path:
         """Write pattern.svg and, with ezdxf, pattern.dxf (mm, 1:1), pattern.csv and pattern.txt.
 
-        The CSV has the points, the text the notices. Without ezdxf, an older pattern.dxf goes.
+        The CSV has the points, the text the notices. Without ezdxf an older pattern.dxf is removed.
 
         Parameters
         ----------
@@ -98,22 +90,19 @@ class FlatPattern:
         InputError
             If the folder holds a pattern already and `force` is not set, or cannot be written.
         """
-        from .drawing import write_csv, write_dxf, write_svg
-
         with replaced(out, force=force, names=FILES) as folder:
             if not _without_dxf():
                 write_dxf(self, folder / "pattern.dxf")
             write_csv(self, folder / "pattern.csv")
             write_svg(self, folder / "pattern.svg")
-            told = [f"Flat pattern of {self.name}, seen from the upper side (the punch's)", ""]
-            told += [f"- {notice}" for notice in self.notices]
-            (folder / "pattern.txt").write_text("\n".join([*told, ""]), encoding="utf-8")
+            title = f"Flat pattern of {self.name}, seen from the upper side (the punch's)"
+            write_notices(folder / "pattern.txt", title, self.notices)
         return Path(out)
 
 
 def flat_pattern(
-    source: Result | str | Path,
-    trim: str | Path | FloatArray | Sequence[Sequence[float]],
+    source: Result | Record | str | Path,
+    trim: Line,
     *,
     within: float | None = None,
     scale: float = 1.0,
@@ -122,8 +111,8 @@ def flat_pattern(
 
     Parameters
     ----------
-    source : Result or path
-        A result, or the folder of one.
+    source : Result, Record or path
+        A run, or the folder of one.
     trim : (k, 3) or (k, 2) array, path, "edge" or "die"
         Closed line in space or seen along z; a CSV of x, y[, z] (and loop, for several); the edge
         of the formed sheet; the opening of the scene's die, seen along z.
@@ -141,28 +130,30 @@ def flat_pattern(
     InputError
         For a line that cannot be read, of less than three points, or nowhere near the part.
     """
+    import shapely
+
     check_number("scale", scale)
-    part = part_of(source)
-    reach = part.fabric["thickness"] if within is None else check_number("within", within)
-    rim = [part.flat[loop] for loop in Blank(part.flat, part.triangles, *part.along).outline]
-    notices = [*part.notices]
+    record = read_formed(source)
+    sheet, notices = record.sheet, [*limits_of(record)]
+    reach = record.fabric["thickness"] if within is None else check_number("within", within)
+    edges = [sheet.flat[loop] for loop in sheet.loops]
     if isinstance(trim, str) and trim == "edge":
-        lines = rim
+        lines = edges
     elif isinstance(trim, str) and trim == "die":
-        lines = _seen(part, _opening(part), notices)
-        notices.append(f"the die's opening is that of the scene '{Path(part.scene).name}'")
+        lines = _seen(sheet, _opening(record), notices)
+        notices.append(f"the die's opening is that of the scene '{Path(record.scene).name}'")
     else:
         lines = []
         for curve in _curves(trim, scale):
             if curve.shape[1] == 2:
-                lines += _seen(part, _polygon(curve), notices)
+                lines += _seen(sheet, _polygon(curve), notices)
             else:
-                lines.append(_mapped(part, curve, reach, rim, notices))
+                lines.append(_mapped(sheet, curve, reach, edges, notices))
     for line in lines:
         if _closed(line) and not shapely.LinearRing(line).is_simple:
             notices.append("the flat line crosses itself")
     notices += _without_dxf()
-    return FlatPattern(part.name, lines, rim, part.along, (*notices, *NOT_MODELLED))
+    return FlatPattern(record.case, lines, edges, sheet.along, (*notices, *NOT_MODELLED))
 
 
 def _without_dxf() -> list[str]:
@@ -175,67 +166,70 @@ def _without_dxf() -> list[str]:
     return []
 
 
-def _curves(
-    trim: str | Path | FloatArray | Sequence[Sequence[float]], scale: float
-) -> list[FloatArray]:
+def _curves(trim: Line, scale: float) -> list[FloatArray]:
     """Lines (k, 2) or (k, 3), mm, first point not repeated."""
+    where = ""
     if isinstance(trim, str | Path):
-        table = read_table(Path(trim))
+        table, where = read_table(Path(trim)), f"{trim}: "
         names = [name for name in "xyz" if name in table]
         if names[:2] != ["x", "y"]:
-            raise InputError(f"{trim}: expected columns x, y, z, got {', '.join(table)}")
+            raise InputError(f"{where}expected columns x, y, z, got {', '.join(table)}")
         points = np.column_stack([table[name] for name in names])
         loop = table.get("loop", np.zeros(len(points)))
         curves = [points[loop == number] for number in dict.fromkeys(loop.tolist())]
-        where = f"{trim}: "
     else:
         try:
-            curves, where = [np.asarray(trim, dtype=float)], ""
+            curves = [np.asarray(trim, dtype=float)]
         except (TypeError, ValueError):
-            raise InputError("a trim line must be points (k, 3) or (k, 2) in mm") from None
-    for k, curve in enumerate(curves):
+            curves = [np.empty(0)]
+    found = []
+    for curve in curves:
         if curve.ndim != 2 or curve.shape[1] not in (2, 3) or not np.isfinite(curve).all():
             raise InputError(f"{where}a trim line must be points (k, 3) or (k, 2) in mm")
         curve = curve[:-1] if len(curve) > 1 and np.allclose(curve[0], curve[-1]) else curve
         if len(curve) < 3:
             raise InputError(f"{where}a trim line needs three points, got {len(curve)}")
-        curves[k] = scale * curve
-    return curves
+        found.append(scale * curve)
+    return found
 
 
 def _mapped(
-    part: Part, curve: FloatArray, reach: float, rim: list[FloatArray], notices: list[str]
+    sheet: FormedSheet,
+    curve: FloatArray,
+    reach: float,
+    edges: list[FloatArray],
+    notices: list[str],
 ) -> FloatArray:
     """Flat closed line of a closed line in space."""
-    sheet = part.sheet
-    points = _dense(curve, STEP * sheet.spacing)
-    flat, distance = on_surface(part.flat, sheet, points)
+    import shapely
+
+    size = spacing(sheet)
+    points = _dense(curve, STEP * size)
+    flat, distance = on_surface(sheet.flat, sheet, points)
     if distance.min() > reach:
         raise InputError(
             f"the trim line is nowhere within {reach:.3g} mm of the formed sheet, at best "
             f"{distance.min():.3g} mm away: are its place and its unit (scale) those of the part?"
         )
     _, corners, nearest = closest(points, sheet)
-    n = normals_of(part.points[corners])
+    n = normals_of(sheet.points[corners])
     n /= np.linalg.norm(n, axis=1)[:, None]
     arm = points - nearest
     aside = np.linalg.norm(arm - (arm * n).sum(1)[:, None] * n, axis=1)
-    edge = shapely.multilinestrings([shapely.linestrings(loop) for loop in rim])
-    at_rim = shapely.distance(shapely.points(flat), edge) < 1e-6 * np.ptp(part.flat)
-    left = (distance > reach) | (at_rim & (aside > ASIDE * sheet.spacing))
+    at_edge = shapely.distance(shapely.points(flat), shapely.MultiLineString(edges))
+    at_edge = at_edge < 1e-6 * np.ptp(sheet.flat)
+    left = (distance > reach) | (at_edge & (aside > ASIDE * size))
+    step = np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1)
     if left.any():
-        step = np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1)
-        at = points[left][distance[left].argmax()]
+        x, y, z = points[left][distance[left].argmax()]
         notices.append(
             f"the trim line leaves the sheet on {100 * step[left].sum() / step.sum():.3g} % of its "
-            f"length, by up to {distance[left].max():.3g} mm near ({at[0]:.4g}, {at[1]:.4g}, "
-            f"{at[2]:.4g}): there the pattern follows the closest points of the sheet, often its "
-            "edge"
+            f"length, by up to {distance[left].max():.3g} mm near ({x:.4g}, {y:.4g}, {z:.4g}): "
+            "there the pattern follows the closest points of the sheet, often its edge"
         )
     closed = np.vstack([flat, flat[:1]])
-    flat_step = np.linalg.norm(np.diff(closed, axis=0), axis=1)
-    formed_step = np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1)
-    if (jumps := flat_step > JUMP * formed_step + 0.5 * sheet.spacing).any():
+    jumps = np.linalg.norm(np.diff(closed, axis=0), axis=1) > JUMP * step + 0.5 * size
+    if jumps.any():
         x, y = flat[jumps.argmax()]
         notices.append(
             f"the flat line jumps {jumps.sum()} times, first near ({x:.4g}, {y:.4g}): the part "
@@ -246,21 +240,20 @@ def _mapped(
 
 def _dense(curve: FloatArray, step: float) -> FloatArray:
     """Points of a closed line, none farther from the next than `step`."""
-    ends = np.roll(curve, -1, axis=0)
-    counts = np.maximum(np.ceil(np.linalg.norm(ends - curve, axis=1) / step).astype(int), 1)
-    return np.vstack(
-        [
-            a + (b - a) * np.arange(n)[:, None] / n
-            for a, b, n in zip(curve, ends, counts, strict=True)
-        ]
-    )
+    sides = np.roll(curve, -1, axis=0) - curve
+    counts = np.maximum(np.ceil(np.linalg.norm(sides, axis=1) / step).astype(int), 1)
+    side = np.repeat(np.arange(len(curve)), counts)
+    number = np.arange(len(side)) - np.repeat(np.cumsum(counts) - counts, counts)
+    return curve[side] + (number / counts[side])[:, None] * sides[side]
 
 
-def _seen(part: Part, plan: shapely.Polygon, notices: list[str]) -> list[FloatArray]:
+def _seen(sheet: FormedSheet, plan: shapely.Polygon, notices: list[str]) -> list[FloatArray]:
     """Flat lines of the sheet that lie on a polygon's edge when seen along z."""
+    import shapely
+
     shapely.prepare(plan)
-    inside = shapely.contains_xy(plan, part.points[:, :2])
-    edges = np.stack([part.triangles, np.roll(part.triangles, -1, axis=1)], axis=2)
+    inside = shapely.contains_xy(plan, sheet.points[:, :2])
+    edges = np.stack([sheet.triangles, np.roll(sheet.triangles, -1, axis=1)], axis=2)
     edges = np.sort(edges, axis=2)  # the same point from both sides
     crossed = inside[edges].sum(2) == 1
     cut = crossed.any(1)
@@ -271,34 +264,41 @@ def _seen(part: Part, plan: shapely.Polygon, notices: list[str]) -> list[FloatAr
     low, high = np.zeros(a.shape), np.ones(a.shape)
     for _ in range(HALVINGS):
         share = 0.5 * (low + high)
-        place = part.points[a] + share[:, None] * (part.points[b] - part.points[a])
+        place = sheet.points[a] + share[:, None] * (sheet.points[b] - sheet.points[a])
         first_side = shapely.contains_xy(plan, place[:, :2]) == inside[a]
         low, high = np.where(first_side, share, low), np.where(first_side, high, share)
     share = 0.5 * (low + high)  # never 0: lines through a node would meet there
-    points = part.flat[a] + share[:, None] * (part.flat[b] - part.flat[a])
+    points = sheet.flat[a] + share[:, None] * (sheet.flat[b] - sheet.flat[a])
     ends = points[segment.reshape(-1, 2)]
     chord = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).max()
     notices.append(f"the line is straight between edges of triangles, up to {chord:.3g} mm long")
     merged = shapely.line_merge(shapely.multilinestrings(shapely.linestrings(ends)))
     lines = [shapely.get_coordinates(line) for line in shapely.get_parts(merged)]
-    if any(not _closed(line) for line in lines):
+    if not all(map(_closed, lines)):
         notices.append("the trim line leaves the sheet: what is left of it does not close")
     return sorted(lines, key=lambda line: -shapely.Polygon(line).area if len(line) > 3 else 0.0)
 
 
 def _polygon(curve: FloatArray) -> shapely.Polygon:
+    import shapely
+
     plan = shapely.Polygon(curve)
     if not plan.is_valid or not plan.area > 0:
         raise InputError("the trim line, seen along z, must enclose an area and not cross itself")
     return plan
 
 
-def _opening(part: Part) -> shapely.Polygon:
+def _opening(record: Record) -> shapely.Polygon:
     """Opening of the die of the run's scene, seen along z: the wall below its fillet."""
-    name = part.parameters.get("scene")
+    import shapely
+
+    from ..scenes import scene_file
+    from ..tools.shapes import Opening
+
+    name = record.parameters.get("scene")
     if not isinstance(name, str):
         raise InputError("the result is of no forming scene: give the trim line by its points")
-    for tool in scene_file.load(part.scene).tools:
+    for tool in scene_file.load(record.scene).tools:
         if tool.role == "die" and isinstance(tool.shape, Opening):
             hole = tool.shape.hole
             core = shapely.MultiPoint(hole.core[:, :2]).convex_hull

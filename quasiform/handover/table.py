@@ -9,17 +9,10 @@ from __future__ import annotations
 import csv
 from pathlib import Path
 
-import meshio
 import numpy as np
 
 from .fibres import AXES, Fibres
 
-HEADINGS = (
-    *("element", "thickness_mm", "theta_warp_deg", "theta_weft_deg", "theta_bisector_deg"),
-    *("thickness_ratio", "areal_weight_g_per_m2", "shear_angle_deg", "n1", "n2", "n3", "n4"),
-    *("x_mm", "y_mm", "z_mm"),
-    *(f"{axis}_{c}" for axis in AXES for c in "xyz"),
-)
 GENERAL = (
     "theta runs from the side between an element's first two nodes (Nastran's THETA); without "
     "an MCID",
@@ -28,43 +21,52 @@ GENERAL = (
 
 def table(fibres: Fibres, folder: Path) -> tuple[str, ...]:
     """Write fibres.csv, a row an element that is known; notices."""
-    target, known = fibres.target, np.flatnonzero(fibres.known)
+    target = fibres.target
     side = target.points[target.corners[:, 1]] - target.points[target.corners[:, 0]]
-    numbers = [fibres.thickness, *(fibres.angle(axis, side) for axis in AXES)]
-    numbers += [fibres.thickness_ratio, fibres.areal_weight, fibres.shear_angle]
-    vectors = np.hstack([target.centroids, *(getattr(fibres, axis) for axis in AXES)])
+    values = {"thickness_mm": fibres.thickness}
+    values |= {f"theta_{axis}_deg": fibres.angle(axis, side) for axis in AXES}
+    values |= {
+        "thickness_ratio": fibres.thickness_ratio,
+        "areal_weight_g_per_m2": fibres.areal_weight,
+        "shear_angle_deg": fibres.shear_angle,
+    }
+    vectors = {f"{c}_mm": column for c, column in zip("xyz", target.centroids.T, strict=True)}
+    for axis in AXES:
+        vectors |= dict(zip([f"{axis}_{c}" for c in "xyz"], getattr(fibres, axis).T, strict=True))
     with (folder / "fibres.csv").open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow(HEADINGS)
-        for row in known:
-            corners = ["" if c < 0 else target.nodes[c] for c in target.corners[row]]
-            values = [f"{column[row]:.7g}" for column in numbers]
-            places = [f"{v:.9g}" for v in vectors[row]]
-            writer.writerow([target.elements[row], *values, *corners, *places])
+        writer.writerow(["element", *values, *(f"n{k}" for k in (1, 2, 3, 4)), *vectors])
+        for row in np.flatnonzero(fibres.known):
+            writer.writerow(
+                [
+                    target.elements[row],
+                    *(f"{column[row]:.7g}" for column in values.values()),
+                    *("" if c < 0 else target.nodes[c] for c in target.corners[row]),
+                    *(f"{column[row]:.9g}" for column in vectors.values()),
+                ]
+            )
     return GENERAL
 
 
 def mesh(fibres: Fibres, folder: Path) -> tuple[str, ...]:
     """Write fibres.vtu with all fields by cell; nan in elements that are not known."""
+    import meshio
+
     target = fibres.target
-    fields = {axis: getattr(fibres, axis) for axis in AXES} | {
-        "thickness": fibres.thickness,
-        "thickness_ratio": fibres.thickness_ratio,
-        "areal_weight": fibres.areal_weight,
-        "shear_angle": fibres.shear_angle,
-        "element": target.elements,
-    }
-    chosen = {"triangle": target.triangular, "quad": ~target.triangular}
-    cells = {
-        kind: target.corners[rows][:, : 3 + (kind == "quad")]
-        for kind, rows in chosen.items()
+    names = (*AXES, "thickness", "thickness_ratio", "areal_weight", "shear_angle")
+    fields = {name: getattr(fibres, name) for name in names} | {"element": target.elements}
+    blocks = [
+        (kind, rows, target.corners[rows, :corners])
+        for kind, corners, rows in (
+            ("triangle", 3, target.triangular),
+            ("quad", 4, ~target.triangular),
+        )
         if rows.any()
-    }
-    by_cell = {
-        name: [np.ascontiguousarray(values[chosen[kind]]) for kind in cells]
-        for name, values in fields.items()
-    }
-    meshio.Mesh(target.points, list(cells.items()), {"node": target.nodes}, by_cell).write(
-        folder / "fibres.vtu"
-    )
+    ]
+    meshio.Mesh(
+        target.points,
+        [(kind, cells) for kind, _, cells in blocks],
+        {"node": target.nodes},
+        {name: [values[rows] for _, rows, _ in blocks] for name, values in fields.items()},
+    ).write(folder / "fibres.vtu")
     return ()

@@ -16,7 +16,7 @@ import numpy as np
 from ..checks import InputError
 from ..fabric import Fabric
 from ..result.files import replaced
-from ..result.run import package_version
+from ..result.summary import package_version
 from .campaign import ASSUMED, METHODS, VALUES, Campaign, load
 from .energy_method import StressCurve, energy_method
 from .fit import Fit, Parameter, fit

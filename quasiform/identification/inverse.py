@@ -24,7 +24,8 @@ import scipy as sp  # its parts load when they are used
 
 from ..fabric import Fabric, ThreeStageLaw
 from ..scenes.fabric_tests import off_axis_tension
-from ..solve.newton import Equilibrium, NotConvergedError
+from ..solve.equilibrium import Equilibrium, NotConvergedError
+from ..solve.newton import minimise, predict
 from .energy_method import Forces
 from .fit import LOCKING, NAMES, Fit, Unknowns, choose, report, search
 from .records import Curve
@@ -85,11 +86,11 @@ class Sheet:
 
         self.curve, self.fabric, self.force, self.sigma = curve, fabric, forces.force, forces.sigma
         u = specimen.displacement(curve)
-        self.scene = off_axis_tension(
+        self.model = off_axis_tension(
             specimen.angle, fabric, specimen.length, specimen.width, float(u.max()), size
         )
-        self.angle = self.scene.measures["shear_angle_center_deg"]
-        self.equilibrium = Equilibrium(self.scene, tolerance=1e-6)
+        self.angle = self.model.measures["shear_angle_center_deg"]
+        self.equilibrium = Equilibrium(self.model, tolerance=1e-6)
         self.at_rows = balance(u)
         # a coordinate along which the ratio is smooth at the onset of locking too
         along = u / u.max() + 0.5 * np.log(self.at_rows.predicted(law))
@@ -103,8 +104,8 @@ class Sheet:
 
     def states(self, law: ThreeStageLaw) -> list[FloatArray]:
         """Equilibria at the points; NotConvergedError where there is none."""
-        self.scene.membrane.fabric = replace(self.fabric, shear=law)
-        x, u, found = self.scene.x0, 0.0, []
+        self.model.membrane.fabric = replace(self.fabric, shear=law)
+        x, u, found = self.model.x0, 0.0, []
         for goal in self.points:
             x, u = self._advance(x, u, goal), goal
             found.append(x)
@@ -113,7 +114,7 @@ class Sheet:
     def _advance(self, x: FloatArray, u: float, goal: float, halvings: int = 5) -> FloatArray:
         self.equilibrium.travel = u
         try:
-            return self.equilibrium.minimise(self.equilibrium.predict(x, goal), 60)
+            return minimise(self.equilibrium, predict(self.equilibrium, x, goal), max_iterations=60)
         except NotConvergedError:
             if not halvings:
                 raise
@@ -122,7 +123,7 @@ class Sheet:
         return self._advance(x, middle, goal, halvings - 1)
 
     def _force(self, x: FloatArray) -> float:
-        return self.equilibrium.force(self.equilibrium.potential.gradient(x))
+        return self.equilibrium.force(self.equilibrium.gradient(x))
 
     def predicted(self, law: ThreeStageLaw) -> FloatArray:
         """(n,) forces of the rows; NotConvergedError as `states`."""
@@ -156,11 +157,11 @@ class Sheet:
         self, x: FloatArray, unknowns: Unknowns, p: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Derivatives (k,) of the force (N) and of the centre angle (rad) by the unknowns."""
-        scene, equilibrium, membrane = self.scene, self.equilibrium, self.scene.membrane
-        free = ~scene.fixed
-        v = np.where(scene.fixed, scene.drive, 0.0)
-        _, load = equilibrium.factor(x, False, v)
-        v[free] = -equilibrium.solver.solve(load)
+        model, equilibrium, membrane = self.model, self.equilibrium, self.model.membrane
+        free = equilibrium.free
+        v = np.where(model.fixed, model.drive, 0.0)
+        _, load = equilibrium.factor(x, 0.0, motion=v)
+        v[free] = -equilibrium.tangent.solve(load)
         f, fv = membrane.fibres(x), membrane.fibres(v)
         I6 = (f[:, 0] * f[:, 1]).sum(1)
         rate = (f[:, 0] * fv[:, 1] + f[:, 1] * fv[:, 0]).sum(1)
@@ -170,7 +171,7 @@ class Sheet:
             push = membrane.g.transpose(0, 2, 1) @ (column[:, None, None] * f[:, ::-1])
             g = np.bincount(membrane.dofs.ravel(), push.ravel(), minlength=len(x))
             dx = np.zeros(len(x))
-            dx[free] = -equilibrium.solver.solve(g[free])
+            dx[free] = -equilibrium.tangent.solve(g[free])
             h = 1e-3 / max(np.abs(dx).max(), 1e-300)
             dangle[i] = (self.angle(x + h * dx) - self.angle(x - h * dx)) / (2 * h)
         return rate @ dS12, np.radians(dangle)

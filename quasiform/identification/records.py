@@ -2,74 +2,49 @@
 
 What a machine exports becomes the loading part of the test with a standard deviation for each
 force: unloading and tearing are cut, slack is cut and its end becomes zero, noise is estimated.
-Everything inferred, converted, cut or shifted is told in `Curve.notices`; what cannot be decided
-is refused.
+`Curve.notices` reports everything that is inferred, converted, cut or shifted; what cannot be
+decided is refused.
 """
 
 from __future__ import annotations
 
 import csv
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import pi
 from pathlib import Path
 
 import numpy as np
 
-from ..checks import InputError, check_file, check_keys, suggestion
+from .. import tables
+from ..checks import InputError, check_keys, suggestion
+from ..tables import (
+    FIRST_NAMES,
+    SECOND_NAMES,
+    Row,
+    is_number,
+    is_numeric,
+    known_unit,
+    name_unit,
+    numbers_in,
+    plain,
+    rows_in,
+    text_of,
+)
 
 FloatArray = np.ndarray
-Row = tuple[int, bool, list[str]]  # line number, whether a comment, cells
 
 FEWEST = 8  # rows of a curve
 UNSTRAINED = 0.25  # of the force at the slope of the start: below, the displacement has an offset
 BACK = 0.02  # of the range; going back further is no jitter
 DROP = 0.2  # of the largest force; a specimen whose force drops by more is torn
 LARGEST = 1e9  # mm, N, rad or N/mm
-WIDEST = 5000  # characters of a line
 SMALL = 0.02  # of the largest force: near zero, and where relative noise becomes absolute
 OFFSET = 0.05  # of the largest force; a constant level above is friction, not a load cell's offset
-NAMES = {
-    "displacement": "displacement disp extension elongation crosshead stroke travel weg "
-    "verschiebung traverse u d",
-    "force": "force load kraft f standardkraft",
-    "shear_angle": "shearangle gamma γ angle scherwinkel",
-    "shear_force": "shearforce normalisedshearforce normalizedshearforce fsh",
-}
-SECOND = {  # names that count where none of NAMES is there: they may be another's beside it
-    "displacement": "position crossheaddisplacement crossheadposition crossheadtravel "
-    "crossheadextension crossheadmovement machinedisplacement machineextension standardtravel "
-    "standardweg tensiledisplacement tensileextension axialdisplacement axialposition actuator "
-    "actuatordisplacement actuatorposition pistonstroke gripdisplacement traversenweg "
-    "traversenposition traversenverschiebung maschinenweg kolbenweg prüfweg dehnweg "
-    "längenänderung",
-    "force": "standardforce tensileforce tensileload axialforce axialload testforce testload "
-    "loadcell prüfkraft zugkraft axialkraft maschinenkraft",
-}
-UNITS = {  # mm, N, rad, N/mm each; the first is assumed where none is declared
-    "displacement": {
-        "mm": 1.0,
-        "m": 1e3,
-        "cm": 10.0,
-        "um": 1e-3,
-        "µm": 1e-3,
-        "in": 25.4,
-        "inch": 25.4,
-    },
-    "force": {"N": 1.0, "kN": 1e3, "cN": 1e-2, "lbf": 4.4482216152605},
-    "shear_angle": {"deg": pi / 180, "°": pi / 180, "rad": 1.0},
-    "shear_force": {"N/mm": 1.0, "N/m": 1e-3, "kN/m": 1.0},
-}
-_QUANTITY = {name: quantity for quantity, names in NAMES.items() for name in names.split()}
-_SECOND = {name: quantity for quantity, names in SECOND.items() for name in names.split()}
-_UNIT = "|".join(sorted((re.escape(u) for known in UNITS.values() for u in known), key=len)[::-1])
-_NAME_UNIT = (  # what a heading may look like, its name and its unit
-    re.compile(r"(.+?)\s*[\[(]\s*([^\])]*?)\s*[\])]"),  # Force [N]
-    re.compile(rf"(.+?)(?:\s+in)?[\s_/,:]+({_UNIT})", re.IGNORECASE),  # force_N, Kraft in N
-    re.compile(r"([^/]+?)\s*/\s*(\S+)"),  # Force/kp
-)
-_NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf)", re.IGNORECASE)
+QUANTITIES = ("displacement", "force", "shear_angle", "shear_force")
+NAMES = {quantity: tables.NAMES[quantity] for quantity in QUANTITIES}
+SECOND = {quantity: tables.SECOND[quantity] for quantity in QUANTITIES[:2]}
+UNITS = {quantity: tables.UNITS[quantity] for quantity in QUANTITIES}
+OTHERS = {"force": "shear_force", "displacement": "shear_angle"}
 
 
 @dataclass(frozen=True)
@@ -135,15 +110,15 @@ def read(
     try:
         check_keys(columns, NAMES, "columns")
         check_keys(units, NAMES, "units")
-        rows = _rows(_text(Path(path)))
+        rows = rows_in(text_of(Path(path)))
         places, declared, first = _places(rows, columns, notices)
-        values, lines = _numbers(rows[first:], places)
+        values, lines = _numbers(rows[first:], places, notices)
         for quantity in values:
             unit = units.get(quantity) or declared.get(quantity)
             values[quantity] *= _factor(quantity, unit, values[quantity], notices)
             if not (largest := np.abs(values[quantity]).max()) < LARGEST:
-                told = _told(quantity, largest)
-                raise InputError(f"the {_label(quantity)} reaches {told}: check its unit")
+                reached = _measured(quantity, largest)
+                raise InputError(f"the {_label(quantity)} reaches {reached}: check its unit")
         return _loading(values, lines, notices)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}") from error
@@ -175,7 +150,7 @@ def mean_of(curves: Sequence[Curve]) -> Curve:
     xs = [getattr(c, along) for c in curves]
     low, high = max(x[0] for x in xs), min(x[-1] for x in xs)
     if not low < high:
-        spans = ", ".join(f"{_told(along, x[0])} to {_told(along, x[-1])}" for x in xs)
+        spans = ", ".join(f"{_measured(along, x[0])} to {_measured(along, x[-1])}" for x in xs)
         raise InputError(f"repeats have no {_label(along)} in common: {spans}")
     n, pairs = len(curves), list(zip(xs, curves, strict=True))
     grid = np.linspace(low, high, int(np.median([len(x) for x in xs])))
@@ -207,116 +182,32 @@ def _quantities(curve: Curve) -> str:
     return f"{'shear force' if curve.per_length else 'force'} over {along}"
 
 
-def _text(path: Path) -> str:
-    check_file(path)
-    content = path.read_bytes()
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        text = content.decode("latin-1")
-    if re.search("[\x00-\x08\x0e-\x1f]", text):
-        raise InputError("not a text file: expected CSV in UTF-8 or Latin-1")
-    for number, line in enumerate(re.split("\r\n|\r|\n", text), 1):
-        if len(line) > WIDEST:  # the time for a heading grows with the square of its blanks
-            raise InputError(f"line {number} has {len(line)} characters: no row of a table")
-    return text
-
-
-# From text to numbers
-
-
-def _rows(text: str) -> list[Row]:
-    """Rows that are not blank, by the separator that gives most rows of numbers.
-
-    Where two do, the earlier is right: in "1,5;2,5" the commas are decimal signs.
-    """
-    lines = [(k, s.strip(" ")) for k, s in enumerate(re.split("\r\n|\r|\n", text), 1) if s.strip()]
-    best, number = None, 0
-    for separator in (";", "\t", None, ","):
-        count = sum(_numeric(_split(line, separator)) for _, line in lines)
-        if count > number:
-            best, number = separator, count
-    if not number:
-        raise InputError("no rows of two or more numbers")
-    lines = [(k, line.lstrip("#% "), line[0] in "#%") for k, line in lines]
-    rows = [(k, comment, _split(line, best)) for k, line, comment in lines]
-    if best is None:  # a heading may hold blanks, and prose as many words as there are columns
-        widths = [len(cells) for _, _, cells in rows if _numeric(cells)]
-        width = max(set(widths), key=widths.count)
-        rows = [
-            (k, comment, cells if _numeric(cells) else _heading(line, width))
-            for (k, comment, cells), (_, line, _) in zip(rows, lines, strict=True)
-        ]
-    return rows
-
-
-def _heading(line: str, width: int) -> list[str]:
-    """Cells of a line between columns of blanks: all of it is one where their number is wrong."""
-    joined = re.sub(r"\s+(?=[\[(])", "", line)
-    for cells in (re.split(r"\s{2,}", line), _split(joined, None), _split(line, None)):
-        if len(cells) == width:
-            return cells
-    return [line]
-
-
-def _split(line: str, separator: str | None) -> list[str]:
-    if separator is None:
-        cells = [cell.strip('"') for cell in re.findall(r'"[^"]*"|\S+', line)]
-    else:
-        cells = next(csv.reader([line], delimiter=separator, skipinitialspace=True))
-        cells = [cell.strip() for cell in cells]
-    while cells and not cells[-1]:
-        cells.pop()
-    return cells
-
-
-def _numeric(cells: list[str]) -> bool:
-    return sum(bool(_NUMBER.fullmatch(cell)) for cell in cells) > 1
-
-
-def _plain(name: str) -> str:
-    return re.sub(r"[\s_.-]", "", name).casefold()
-
-
-def _name_unit(heading: str) -> tuple[str, str | None]:
-    """Name, without blanks and in small letters, and unit of a heading such as Force [kN]."""
-    if _plain(heading) not in _QUANTITY | _SECOND and len(heading) < 200:
-        for pattern in _NAME_UNIT:
-            match = pattern.fullmatch(heading)
-            if match:
-                return _plain(match[1]), match[2] or None
-    return _plain(heading), None
+# Columns
 
 
 def _candidates(cells: list[str], columns: Mapping[str, str]) -> dict[str, list[int]]:
     """Columns that may be each quantity: those asked for, else those whose name is known."""
     found: dict[str, list[int]] = {}
     for quantity, asked in columns.items():
-        name = _plain(str(asked))
+        name = plain(str(asked))
         found[quantity] = [
-            k for k, cell in enumerate(cells) if name in (_plain(cell), _name_unit(cell)[0])
+            k for k, cell in enumerate(cells) if name in (plain(cell), name_unit(cell)[0])
         ]
         if not found[quantity] and name.isdecimal() and 1 <= int(name) <= len(cells):
             found[quantity] = [int(name) - 1]
     taken = {k for places in found.values() for k in places}
     for k, cell in enumerate(cells):
-        quantity = _QUANTITY.get(_name_unit(cell)[0])
-        if quantity and quantity not in columns and k not in taken:
+        quantity = FIRST_NAMES.get(name_unit(cell)[0])
+        if quantity in NAMES and quantity not in columns and k not in taken:
             found.setdefault(quantity, []).append(k)
-    for quantity in [q for q in SECOND if not _there(q, found)]:
-        names = [_SECOND.get(_name_unit(cell)[0]) for cell in cells]
+    for quantity in [q for q in SECOND if not {q, OTHERS[q]} & found.keys()]:
+        names = [SECOND_NAMES.get(name_unit(cell)[0]) for cell in cells]
         places = [k for k, name in enumerate(names) if name == quantity and k not in taken]
         if places:
             found[quantity] = places
     if "force" in columns or "shear_force" in columns:  # the one asked for, not the other beside it
         found = {q: k for q, k in found.items() if q in columns or not q.endswith("force")}
     return found
-
-
-def _there(quantity: str, found: Mapping[str, object]) -> bool:
-    """Whether the quantity is there, or the other one that stands in for it."""
-    other = {"force": "shear_force", "displacement": "shear_angle"}[quantity]
-    return quantity in found or other in found
 
 
 def _enough(found: Mapping[str, object]) -> bool:
@@ -330,25 +221,27 @@ def _places(
     rows: list[Row], columns: Mapping[str, str], notices: list[str]
 ) -> tuple[dict[str, int], dict[str, str], int]:
     """Column and declared unit of each quantity, and the first row of numbers."""
-    numbers = next((k for k, row in enumerate(rows) if _numeric(row[2]) and not row[1]), None)
+    numbers = next(
+        (k for k, row in enumerate(rows) if is_numeric(row.cells) and not row.comment), None
+    )
     if numbers is None:
         raise InputError("no rows of two or more numbers that are not comments")
     if _enough(columns) and all(str(asked).strip().isdecimal() for asked in columns.values()):
         places = {quantity: int(asked) - 1 for quantity, asked in columns.items()}
-        width = max(len(cells) for _, _, cells in rows[numbers:])
+        width = max(len(cells) for _, _, cells, _ in rows[numbers:])
         for asked in columns.values():
             if not 1 <= int(asked) <= width:
                 raise InputError(f"column {asked} not found: there are {width} columns")
         declared = {}
-        for _, _, cells in rows[max(0, numbers - 2) : numbers]:
+        for _, _, cells, _ in rows[max(0, numbers - 2) : numbers]:
             declared |= _declared(cells, places)
-        return _one_force(places, rows[numbers][2]), declared, numbers
+        return _one_force(places, rows[numbers].cells), declared, numbers
     heading = 0
-    while _numeric(rows[heading][2]) or not _enough(_candidates(rows[heading][2], columns)):
+    while is_numeric(rows[heading].cells) or not _enough(_candidates(rows[heading].cells, columns)):
         heading += 1
         if heading == len(rows):
             raise InputError(_no_heading(rows[:numbers], columns))
-    cells = rows[heading][2]
+    cells = rows[heading].cells
     found = _candidates(cells, columns)
     for quantity, many in found.items():
         if not many:
@@ -359,14 +252,14 @@ def _places(
                 f"{names} may both be the {_label(quantity)}: choose with "
                 f"{_option('columns', quantity, str(many[0] + 1))}"
             )
-        if quantity not in columns and _name_unit(cells[many[0]])[0] in _SECOND:
+        if quantity not in columns and name_unit(cells[many[0]])[0] in SECOND_NAMES:
             notices.append(f"The column '{cells[many[0]]}' was taken as the {_label(quantity)}.")
     places = _one_force({quantity: many[0] for quantity, many in found.items()}, cells)
     declared, first = _declared(cells, places), heading + 1
-    while first < len(rows) and rows[first][1]:
+    while first < len(rows) and rows[first].comment:
         first += 1
-    if first < len(rows) and not any(_NUMBER.fullmatch(cell) for cell in rows[first][2]):
-        declared = _declared(rows[first][2], places, line_of_units=True) | declared
+    if first < len(rows) and not any(is_number(cell) for cell in rows[first].cells):
+        declared = _declared(rows[first].cells, places, line_of_units=True) | declared
         first += 1
     return places, declared, first
 
@@ -389,7 +282,7 @@ def _declared(
     for quantity, k in places.items():
         cell = cells[k] if k < len(cells) else ""
         bare = cell.strip("[]() ")
-        unit = bare if line_of_units or _known(quantity, bare) else _name_unit(cell)[1]
+        unit = bare if line_of_units or known_unit(quantity, bare) else name_unit(cell)[1]
         if unit:
             declared[quantity] = unit
     return declared
@@ -410,8 +303,10 @@ def _not_found(asked: str, cells: list[str]) -> str:
 
 def _no_heading(rows: list[Row], columns: Mapping[str, str]) -> str:
     """Say what the last line before the numbers that is not one of units lacks."""
-    for _, _, cells in reversed(rows):
-        units = any(_known(quantity, cell.strip("[]() ")) for cell in cells for quantity in UNITS)
+    for _, _, cells, _ in reversed(rows):
+        units = any(
+            known_unit(quantity, cell.strip("[]() ")) for cell in cells for quantity in UNITS
+        )
         if len(cells) > 1 and not units:
             found = _candidates(cells, columns)
             for quantity, asked in columns.items():
@@ -420,7 +315,7 @@ def _no_heading(rows: list[Row], columns: Mapping[str, str]) -> str:
             force = found.get("force") or found.get("shear_force")
             lacking = "displacement or shear angle" if force else "force or shear force"
             key = "displacement" if force else "force"
-            near = [cell for cell in cells if _known(key, _name_unit(cell)[1] or "")]  # by its unit
+            near = [cell for cell in cells if known_unit(key, name_unit(cell)[1] or "")]
             return f"no column of a {lacking}: found {_listed(cells)}; name it with " + _option(
                 "columns", key, near[0] if near else "..."
             )
@@ -431,31 +326,20 @@ def _no_heading(rows: list[Row], columns: Mapping[str, str]) -> str:
 
 
 def _numbers(
-    rows: list[Row], places: Mapping[str, int]
+    rows: list[Row], places: Mapping[str, int], notices: list[str]
 ) -> tuple[dict[str, FloatArray], np.ndarray]:
     """Numbers of each quantity and their lines in the file."""
-    table, lines = [], []
-    for line, comment, cells in rows:
-        if any(cells) and not comment:
-            table.append([cells[k] if k < len(cells) else "" for k in places.values()])
-            lines.append(line)
+    table = [row for row in rows if row.cells and not row.comment]
     if len(table) < FEWEST:
         raise InputError(f"only {rows_of(len(table))} of numbers, at least {FEWEST} are needed")
-    marks = [mark for row in table for cell in row for mark in cell if mark in ",."]
-    wrong = "." if 2 * marks.count(",") > len(marks) else ","  # the rarer is no decimal sign
-    values = np.empty((len(table), len(places)))
-    for i, (line, row) in enumerate(zip(lines, table, strict=True)):
-        for j, (quantity, cell) in enumerate(zip(places, row, strict=True)):
-            if not _NUMBER.fullmatch(cell) or wrong in cell:
-                raise InputError(f"line {line}: the {_label(quantity)} is not a number: {cell!r}")
-            values[i, j] = float(cell.replace(",", "."))
-            if not abs(values[i, j]) < 1e30:
-                raise InputError(f"line {line}: the {_label(quantity)} is not finite: {cell!r}")
-    return dict(zip(places, values.T.copy(), strict=True)), np.array(lines)
+    if left := len(rows) - len(table):
+        notices.append(f"{rows_of(left)} without numbers {_were(left)} left out.")
+    values = numbers_in(table, {f"the {_label(q)}": place for q, place in places.items()})
+    return dict(zip(places, values.T.copy(), strict=True)), np.array([row.line for row in table])
 
 
 def rows_of(n: int) -> str:
-    """Return a number of rows in words.
+    """Return "1 row" or "2 rows".
 
     Examples
     --------
@@ -465,6 +349,10 @@ def rows_of(n: int) -> str:
     return "1 row" if n == 1 else f"{n} rows"
 
 
+def _were(n: int) -> str:
+    return "was" if n == 1 else "were"
+
+
 # Units
 
 
@@ -472,17 +360,9 @@ def _label(quantity: str) -> str:
     return quantity.replace("_", " ")
 
 
-def _told(quantity: str, value: float) -> str:
+def _measured(quantity: str, value: float) -> str:
     unit = next(iter(UNITS[quantity]))
     return f"{np.degrees(value) if unit == 'deg' else value:.3g} {unit}"
-
-
-def _known(quantity: str, unit: str) -> str | None:
-    """Return the unit as it is spelt here: MM is mm, the other letter µ is the same."""
-    unit = unit.replace("μ", "µ")
-    return {name.casefold(): name for name in UNITS[quantity]}.get(
-        unit.replace("µ", "u").casefold()
-    )
 
 
 def _factor(quantity: str, unit: str | None, values: FloatArray, notices: list[str]) -> float:
@@ -500,9 +380,9 @@ def _factor(quantity: str, unit: str | None, values: FloatArray, notices: list[s
             return known["rad"]
         notices.append(f"The {label} has no unit: taken as {assumed}.")
         return known[assumed]
-    spelt = _known(quantity, unit)
+    spelt = known_unit(quantity, unit)
     if spelt is None:
-        other = [_label(q) for q in UNITS if _known(q, unit)]
+        other = [_label(q) for q in UNITS if known_unit(q, unit)]
         hint = f", it is one of a {other[0]}" if other else ""
         raise InputError(
             f"unknown unit '{unit}' of the {label}{hint}: expected one of {', '.join(known)}"
@@ -517,82 +397,93 @@ def _factor(quantity: str, unit: str | None, values: FloatArray, notices: list[s
 
 def _loading(values: Mapping[str, FloatArray], lines: np.ndarray, notices: list[str]) -> Curve:
     """Cut what is not loading, move the zero, estimate the noise."""
-    per_length = "shear_force" in values
     along = "displacement" if "displacement" in values else "shear_angle"
-    force_name = "shear_force" if per_length else "force"
-    x, f, angle = values[along], values[force_name], values.get("shear_angle")
+    force = "shear_force" if "shear_force" in values else "force"
+    angle = [values["shear_angle"]] if "shear_angle" in values else []
+    rows = np.stack([values[along], values[force], *angle])  # (2 or 3, n)
+    rows = _ahead(rows[:, : _end(rows, along, force, lines, notices)], along, lines, notices)
+    if rows[1].max() <= 0:
+        raise InputError("the force is nowhere positive while loading: is its sign reversed?")
+    if along == "displacement":
+        rows = _from_zero(rows, force, notices)
+    x, f, *angle = _enough_rows(rows)
+    sigma = _noise(x, f)
+    if along == "displacement" and x[0] == 0 and f[0] > 3 * sigma[0]:
+        notices.append(f"A preload of {_measured(force, f[0])} was kept.")
+    displacement = x if along == "displacement" else None
+    shear_angle = angle[0] if angle else None
+    return Curve(f, displacement, shear_angle, sigma, force == "shear_force", tuple(notices))
 
-    def few(n: int) -> str:
-        """Refuse what is left."""
+
+def _enough_rows(rows: FloatArray, why: str = "") -> FloatArray:
+    """Refuse too few rows (k, n)."""
+    n = rows.shape[-1]
+    if n < FEWEST:
         belong = "row belongs" if n == 1 else "rows belong"
-        return f"only {n} {belong} to the loading, at least {FEWEST} are needed"
+        raise InputError(f"only {n} {belong} to the loading, at least {FEWEST} are needed{why}")
+    return rows
 
+
+def _end(rows: FloatArray, along: str, force: str, lines: np.ndarray, notices: list[str]) -> int:
+    """Number of rows before unloading and tearing."""
+    x, f = rows[:2]
     end = int(x.argmax()) + 1
-    if end < FEWEST:
-        raise InputError(f"{few(end)}: the {_label(along)} is largest at line {lines[end - 1]}")
+    _enough_rows(x[:end], f": the {_label(along)} is largest at line {lines[end - 1]}")
     if end < len(x):
         notices.append(
             f"{rows_of(len(x) - end)} after the largest {_label(along)}, "
-            f"{_told(along, x[end - 1])}, {'was' if len(x) - end == 1 else 'were'} cut."
+            f"{_measured(along, x[end - 1])}, {_were(len(x) - end)} cut."
         )
     top = int(f[:end].argmax())
     if f[top] > 0 and f[top:end].min() < (1 - DROP) * f[top]:
         notices.append(
-            f"The force drops by more than {100 * DROP:g} % after {_told(force_name, f[top])} at "
-            f"{_told(along, x[top])}: {rows_of(end - top)} from there on "
-            f"{'was' if end - top == 1 else 'were'} cut."
+            f"The force drops by more than {100 * DROP:g} % after {_measured(force, f[top])} at "
+            f"{_measured(along, x[top])}: {rows_of(end - top)} from there on "
+            f"{_were(end - top)} cut."
         )
         end = top
-    if end < FEWEST:
-        raise InputError(few(end))
-    x, f, angle = x[:end], f[:end], angle if angle is None else angle[:end]
+    _enough_rows(x[:end])
+    return end
 
+
+def _ahead(rows: FloatArray, along: str, lines: np.ndarray, notices: list[str]) -> FloatArray:
+    """Leave out rows that do not move ahead; refuse a record that goes back."""
+    x = rows[0]
     reached = np.maximum.accumulate(x)
-    back = reached - x
-    worst = int(back.argmax())
-    if back[worst] > BACK * np.ptp(x):
+    worst = int((reached - x).argmax())
+    if reached[worst] - x[worst] > BACK * np.ptp(x):
         raise InputError(
-            f"{_label(along)} is not monotone: goes back by {_told(along, back[worst])} at line "
-            f"{lines[worst]}"
+            f"{_label(along)} is not monotone: goes back by "
+            f"{_measured(along, reached[worst] - x[worst])} at line {lines[worst]}"
         )
     ahead = np.r_[True, x[1:] > reached[:-1]]
     if not ahead.all():
         n = int((~ahead).sum())
-        words = "that does not move ahead was" if n == 1 else "that do not move ahead were"
-        notices.append(f"{rows_of(n)} {words} left out.")
-    x, f, angle = x[ahead], f[ahead], angle if angle is None else angle[ahead]
+        move = "does not move" if n == 1 else "do not move"
+        notices.append(f"{rows_of(n)} that {move} ahead {_were(n)} left out.")
+    return _enough_rows(rows[:, ahead])
 
-    if len(x) < FEWEST:
-        raise InputError(few(len(x)))
-    if f.max() <= 0:
-        raise InputError("the force is nowhere positive while loading: is its sign reversed?")
-    slack = _slack(x, f) if along == "displacement" else None
-    if slack:
+
+def _from_zero(rows: FloatArray, force: str, notices: list[str]) -> FloatArray:
+    """Cut the slack, or let the displacement start at zero; an angle stays as it was measured."""
+    x, f = rows[:2]
+    if slack := _slack(x, f):
         start, level = slack
-        taut = x > start
-        x, f, angle = x[taut] - start, f[taut] - level, angle if angle is None else angle[taut]
         notices.append(
             f"Slack up to {start:.4g} mm was cut, displacement counts from there; the constant "
-            f"{_told(force_name, level)} before it was subtracted from the force."
+            f"{_measured(force, level)} before it was subtracted from the force."
         )
-    elif along == "displacement" and x[0] != 0:
-        # a sheet that was strained by x[0] already would have taken about the slope of the start
-        near = slice(0, max(FEWEST, np.searchsorted(x, x[0] + abs(x[0]))))
-        slope = max(np.polyfit(x[near], f[near], 1)[0], 0.0)
-        if x[0] < 0 or f[0] < UNSTRAINED * slope * x[0]:
-            notices.append(f"The displacement was shifted by {-x[0]:.4g} mm to start at 0.")
-            x = x - x[0]
-        else:
-            notices.append(
-                f"The curve begins at {x[0]:.4g} mm with {_told(force_name, f[0])}: not shifted."
-            )
-    if len(x) < FEWEST:
-        raise InputError(few(len(x)))
-    sigma = _noise(x, f)
-    if not slack and along == "displacement" and x[0] == 0 and f[0] > 3 * sigma[0]:
-        notices.append(f"A preload of {_told(force_name, f[0])} was kept.")
-    displacement = x if along == "displacement" else None
-    return Curve(f, displacement, angle, sigma, per_length, tuple(notices))
+        return np.stack([x - start, f - level, *rows[2:]])[:, x > start]
+    if x[0] == 0:
+        return rows
+    # a sheet that was strained by x[0] already would have taken about the slope of the start
+    near = slice(0, max(FEWEST, np.searchsorted(x, x[0] + abs(x[0]))))
+    slope = max(np.polyfit(x[near], f[near], 1)[0], 0.0)
+    if x[0] < 0 or f[0] < UNSTRAINED * slope * x[0]:
+        notices.append(f"The displacement was shifted by {-x[0]:.4g} mm to start at 0.")
+        return np.stack([x - x[0], *rows[1:]])
+    notices.append(f"The curve begins at {x[0]:.4g} mm with {_measured(force, f[0])}: not shifted.")
+    return rows
 
 
 def _slack(x: FloatArray, f: FloatArray) -> tuple[float, float] | None:

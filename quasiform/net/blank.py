@@ -6,9 +6,9 @@ alternating, so the mesh has the mirror planes and quarter turns of the net. Suc
 the stretch of a fibre on a leg and the shear at a right corner: they neither lock nor have an
 hourglass mode (the net is isostatic, as the inextensible fabric is).
 
-An outline of any form, with holes, is cut out of the net (`net.cut_net`): lines run through its
-corners and the extremes of round ones, evenly spaced between; the outline gives way where it comes
-near a line or a node, so legs stay on fibres exactly.
+An outline of any form, with holes, is cut out of the net (`cells.cut_net`). Lines run through its
+corners and the extremes of round ones, evenly spaced between. Where the outline comes near a line
+or a node, the outline is moved there, so legs stay on fibres exactly.
 
 Triangles at the outline may have one leg on a fibre only; as every node of the outline ends one
 line, the net stays isostatic and does not lock.
@@ -22,15 +22,19 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from numbers import Real
+from typing import TYPE_CHECKING
 
 import numpy as np
-import shapely
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from skfem import Basis, ElementTriP1, MeshLine, MeshTri
 
 from ..checks import InputError, check_number
+from ..tools.mending import position, rings_of
 from .cells import cut_net
+
+if TYPE_CHECKING:
+    import shapely
 
 FloatArray = np.ndarray
 IntArray = np.ndarray
@@ -40,6 +44,7 @@ GIVE = 0.07  # how far an outline moves along each family of lines to meet the n
 EXACT = 1e-3  # the same for a rectangle, whose edges may be gripped
 APART = 0.4  # least distance of lines through corners and extremes
 CLOSE = 0.1  # the same for a rectangle, whose corners share a line if they are nearer
+SMALLEST, LARGEST = 5.0, 20e3  # mm across; beyond, the unit of a file is probably wrong
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,20 +132,8 @@ class Blank:
         The outer one comes first, counter-clockwise, then the holes, clockwise. The blank lies on
         the left of all.
         """
-        edges = _rim(self.triangles, len(self.nodes))
-        leaving: dict[int, list[int]] = {}
-        for start, end in edges.tolist():
-            leaving.setdefault(start, []).append(end)
-        loops = []
-        while leaving:
-            loop = [next(iter(leaving))]
-            while len(loop) == 1 or loop[-1] != loop[0]:
-                ends = leaving[loop[-1]]
-                if len(ends) == 1:
-                    del leaving[loop[-1]]
-                loop.append(ends.pop())
-            loops.append(np.array(loop))
-        return sorted(loops, key=lambda loop: -_area(self.nodes[loop]))
+        rings = [np.array([*ring, ring[0]]) for ring in rings_of(_rim(self.triangles))]
+        return sorted(rings, key=lambda ring: -_area(self.nodes[ring]))
 
     def unfolded(self) -> tuple[Blank, IntArray, FloatArray, IntArray, FloatArray]:
         """Mirror a part of the blank into the whole.
@@ -185,14 +178,19 @@ class Blank:
 
 def _mesh(kind: type, nodes: FloatArray, elements: IntArray) -> MeshTri | MeshLine:
     """Build a scikit-fem mesh with the node order kept, so that orientations survive."""
-    arrays = np.ascontiguousarray(nodes.T), np.ascontiguousarray(elements.T)
-    return kind(*arrays, sort_t=False)
+    return kind(np.ascontiguousarray(nodes.T), np.ascontiguousarray(elements.T), sort_t=False)
 
 
-def _rim(triangles: IntArray, n_nodes: int) -> IntArray:
-    """(n, 2) directed edges of one triangle only."""
+def _sides(triangles: IntArray) -> tuple[IntArray, IntArray, IntArray]:
+    """Directed edges (3 n_triangles, 2), one number for each and one for its reverse."""
+    n = triangles.max() + 1
     edges = np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2)
-    there, back = edges @ [n_nodes, 1], edges @ [1, n_nodes]
+    return edges, edges @ [n, 1], edges @ [1, n]
+
+
+def _rim(triangles: IntArray) -> IntArray:
+    """(n, 2) directed edges of one triangle only."""
+    edges, there, back = _sides(triangles)
     return edges[~np.isin(there, back)]
 
 
@@ -228,20 +226,10 @@ def rectangle(
     ----------
     length, width : float
         mm, along x and y.
-    size : float
-        Spacing of the fibre lines, mm; the nearest spacing that fits is taken.
-    orientation : float
-        Angle of the warp to x, degrees.
     centre : (2,)
         Centre of the rectangle, mm.
-    through : points, mm
-        Further points that shall lie on a warp and a weft line.
-    mirror : tuple of "x" and "y"
-        Mesh only the positive side of the planes x = 0, y = 0 (through the centre).
-
-    Returns
-    -------
-    Blank
+    size, orientation, through, mirror
+        As for `cut`.
 
     Raises
     ------
@@ -252,11 +240,9 @@ def rectangle(
         check_number(name, value)
     if mirror and (orientation % 90 != 0 or any(centre)):
         raise InputError("mirror planes need fibres along x and y and the centre at the origin")
-    x0 = -length / 2 * ("x" not in mirror)
-    y0 = -width / 2 * ("y" not in mirror)
-    box = np.array(
-        [[x0, y0], [length / 2, y0], [length / 2, width / 2], [x0, width / 2]], dtype=float
-    ) + np.asarray(centre)
+    x1, y1 = length / 2, width / 2
+    x0, y0 = -x1 * ("x" not in mirror), -y1 * ("y" not in mirror)
+    box = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]], dtype=float) + np.asarray(centre)
     _check_count(size, length, width, length * width)
     R = rotation(orientation)
     points = np.array([*box, *through]) @ R  # in fibre coordinates (a, b)
@@ -296,13 +282,9 @@ def cut(
     orientation : float
         Angle of the warp to x, degrees.
     through : points, mm
-        Points that shall lie on a warp and a weft line.
+        Points that must lie on a warp and a weft line.
     mirror : tuple of "x" and "y"
         Mesh only the positive side of the planes x = 0, y = 0.
-
-    Returns
-    -------
-    Blank
 
     Raises
     ------
@@ -312,10 +294,13 @@ def cut(
 
     Examples
     --------
+    >>> import shapely
     >>> blank = cut(shapely.box(0, 0, 40, 20).difference(shapely.box(10, 5, 20, 15)), 5.0)
     >>> len(blank.triangles), round(float(blank.areas.sum()), 6), len(blank.outline)
     (56, 700.0, 2)
     """
+    import shapely
+
     check_number("size", size)
     if not isinstance(orientation, Real) or not np.isfinite(orientation):
         raise InputError(f"orientation must be a number of degrees, got {orientation!r}")
@@ -349,6 +334,15 @@ def cut(
     return _in_one_part(blank, outline, size)
 
 
+def check_unit(across: float, scale: float) -> None:
+    """Refuse (InputError) a blank of a few mm or many metres across: its unit is probably wrong."""
+    if not SMALLEST <= across <= LARGEST:
+        unit, factor = ("metres", 1000.0) if across < SMALLEST else ("micrometres", 1e-3)
+        raise InputError(
+            f"the blank is {across:.3g} mm across: is it in {unit}? set scale = {factor * scale:g}"
+        )
+
+
 def _check_count(size: float, length: float, width: float, area: float) -> None:
     # a cell of the net outside the outline costs a tenth of one inside
     if not max(2 * area, 0.2 * length * width) < MOST_TRIANGLES * size**2:
@@ -362,21 +356,21 @@ def _mirrored_part(
     outline: shapely.Polygon, mirror: tuple[str, ...], orientation: float, size: float
 ) -> shapely.Polygon:
     """Return the positive side of the mirror planes of an outline that has their symmetry."""
+    import shapely
+
     if mirror and orientation % 90 != 0:
         raise InputError("mirror planes need fibres along x and y")
     far = 2 * np.abs(outline.bounds).max()
     part = outline
     for plane in mirror:
-        flip, half = {
-            "x": ([-1.0, 1.0], shapely.box(0.0, -far, far, far)),
-            "y": ([1.0, -1.0], shapely.box(-far, 0.0, far, far)),
-        }[plane]
+        flip, half = np.ones(2), [-far, -far, far, far]
+        flip["xy".index(plane)], half["xy".index(plane)] = -1.0, 0.0
         image = shapely.transform(outline, lambda p, flip=flip: p * flip)
         if outline.symmetric_difference(image).area > 0.01 * size * outline.length:
             raise InputError(
                 f"the outline is not symmetric to {plane} = 0: leave '{plane}' out of mirror"
             )
-        part = part.intersection(half)
+        part = part.intersection(shapely.box(*half))
     pieces = [piece for piece in shapely.get_parts(part) if piece.area > 0]
     if len(pieces) != 1:
         raise InputError("the mirror planes divide the outline into parts")
@@ -385,6 +379,8 @@ def _mirrored_part(
 
 def _corners(ring: FloatArray, size: float) -> FloatArray:
     """(n, 2) vertices of a ring where it turns by more than 20°, the sharpest first."""
+    import shapely
+
     outline = shapely.simplify(shapely.LinearRing(ring), 0.02 * size)
     points = shapely.get_coordinates(outline)[:-1]
     along = np.roll(points, -1, axis=0) - points
@@ -428,12 +424,11 @@ def _lines_through(stops: FloatArray, size: float) -> FloatArray:
 
 
 def _in_one_part(blank: Blank, outline: shapely.Polygon, size: float) -> Blank:
-    """Leave out crumbs that hang on by a node; refuse what the size cannot resolve."""
-    n, count = len(blank.nodes), len(blank.triangles)
-    edges = np.stack([blank.triangles, np.roll(blank.triangles, -1, axis=1)], axis=2)
-    there, back = edges.reshape(-1, 2) @ [n, 1], edges.reshape(-1, 2) @ [1, n]
-    different, repeats = np.unique(there, return_counts=True)
-    bad = blank.nodes[different[repeats > 1] // n]  # triangles on top of each other
+    """Leave out small parts joined by a node only; refuse what the size cannot resolve."""
+    count = len(blank.triangles)
+    edges, there, back = _sides(blank.triangles)
+    _, first, repeats = np.unique(there, return_index=True, return_counts=True)
+    bad = blank.nodes[edges[first[repeats > 1], 0]]  # triangles on top of each other
     _, mine, other = np.intersect1d(there, back, return_indices=True)
     links = coo_array((np.ones(len(mine)), (mine // 3, other // 3)), shape=(count, count))
     _, part = connected_components(links, directed=False)
@@ -444,13 +439,13 @@ def _in_one_part(blank: Blank, outline: shapely.Polygon, size: float) -> Blank:
         used, triangles = np.unique(blank.triangles[main], return_inverse=True)
         triangles = triangles.reshape(-1, 3)
         blank = replace(blank, nodes=blank.nodes[used], triangles=triangles)
-    rim, visits = np.unique(_rim(blank.triangles, len(blank.nodes))[:, 0], return_counts=True)
+    rim, visits = np.unique(_rim(blank.triangles)[:, 0], return_counts=True)
     bad = np.vstack([bad, blank.nodes[rim[visits > 1]]])  # parts joined by a node
     missing = abs(outline.area - blank.areas.sum()) > CLOSE * size * outline.length
     if len(bad) or missing:
-        x, y = np.round(bad[0] if len(bad) else outline.centroid.coords[0], 6) + 0.0
+        at = position(bad[0] if len(bad) else outline.centroid.coords[0])
         raise InputError(
-            f"size {size:g} mm is too large for the outline near ({x:.4g}, {y:.4g}): "
-            "it is narrower there than the spacing of the fibre lines"
+            f"size {size:g} mm is too large for the outline near {at}: it is narrower there than "
+            "the spacing of the fibre lines"
         )
     return blank

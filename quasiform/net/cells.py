@@ -1,13 +1,13 @@
 """Cut the net of fibre lines by an outline with holes.
 
 1. The outline is divided where it crosses a line. What comes nearer than a given part of the
-   spacing to a line or a node of the net is moved there. It is always the outline that gives way,
-   so legs stay on fibres exactly, and no sliver is left beside a line.
+   spacing to a line or a node of the net is moved there. Only the outline moves, so legs stay on
+   fibres exactly, and no sliver is left beside a line.
 2. In each cell only the crossings are kept, and corners that stand off their chord by more.
 3. In each cell that the outline crosses, it bounds faces together with the rim of the cell; they
    are found by walking along edges with the face on the left. They are fanned from a point of the
    outline, so that at least one of their right corners keeps its triangle; a fan with too sharp an
-   angle gives way to the triangulation with the largest smallest angle.
+   angle is replaced by the triangulation with the largest smallest angle.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ from functools import cache
 from math import atan2, pi
 
 import numpy as np
-import shapely
 
 from ..checks import InputError
 
@@ -39,11 +38,13 @@ def cut_net(
     near : float
         How far the outline may move to meet the net.
     sharp : float
-        Fans with smaller angles, radians, give way to other triangles.
+        Fans with smaller angles, radians, are replaced by other triangles.
     first : (2,) array
         Diagonals run through the net's node here, unless the outline itself runs along diagonals.
     """
-    # lines on either side of all, for what stands over
+    import shapely
+
+    # a line more on either side, for corners beyond the outermost
     lines = [
         np.r_[min(line[0], r.min()) - 10 * near, line, max(line[-1], r.max()) + 10 * near]
         for line, r in zip(lines, np.vstack(rings).T, strict=True)
@@ -285,8 +286,8 @@ def _triangulated(faces: list[list[int]], points: FloatArray, sharp: float) -> I
         return np.empty((0, 3), dtype=int)
     fans = [_fan(np.array(face), points[face]) for face in faces]
     angles = _smallest_angles(points[np.vstack(fans)])
-    ends = np.cumsum([len(fan) for fan in fans])
-    worst = np.minimum.reduceat(angles, ends - [len(fan) for fan in fans])
+    starts = np.cumsum([0, *map(len, fans[:-1])])
+    worst = np.minimum.reduceat(angles, starts)
     for k in np.flatnonzero(worst < sharp):
         fans[k] = _best(faces[k], points)
     return np.vstack(fans)

@@ -7,16 +7,18 @@ quadrilaterals of the mesh, and for triangles the pairing with the best quadrila
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import shapely
-from scipy.optimize import Bounds, LinearConstraint, milp
 from scipy.sparse import csc_array
 
-from ..checks import InputError, check_file, check_number
-from ..tools.surface_file import check_numbers, naming, optional, read_mesh
-from .blank import MOST_TRIANGLES, Blank, rotation
-from .outline import check_unit
+from ..checks import InputError, check_file, check_number, naming, optional
+from ..tools.mending import check_numbers, position
+from ..tools.surface_file import read_mesh
+from .blank import MOST_TRIANGLES, Blank, check_unit, rotation
+
+if TYPE_CHECKING:
+    import shapely
 
 FloatArray = np.ndarray
 IntArray = np.ndarray
@@ -36,8 +38,7 @@ def triangulate(outline: shapely.Polygon, size: float, orientation: float = 0.0)
     outline : shapely.Polygon
         mm.
     size : float
-        Spacing of comparable fibre lines, mm; edges are longer by the factor that makes as many
-        triangles.
+        Spacing of fibre lines that make as many triangles, mm.
     orientation : float
         Angle of the warp to x, degrees.
 
@@ -46,6 +47,8 @@ def triangulate(outline: shapely.Polygon, size: float, orientation: float = 0.0)
     InputError
         For a bad size, or without gmsh.
     """
+    import shapely
+
     check_number("size", size)
     if not 2 * outline.area < MOST_TRIANGLES * size**2:
         raise InputError(f"size {size:g} mm makes more than {MOST_TRIANGLES:.0e} triangles")
@@ -71,15 +74,27 @@ def triangulate(outline: shapely.Polygon, size: float, orientation: float = 0.0)
         _, corners = gmsh.model.mesh.getElementsByType(2)
     finally:
         gmsh.finalize()
-    number = np.zeros(int(tags.max()) + 1, dtype=int)
-    number[tags.astype(int)] = np.arange(len(tags))
-    used, triangles = np.unique(number[corners.astype(int)], return_inverse=True)
+    order = np.argsort(tags)
+    used, triangles = np.unique(
+        order[np.searchsorted(tags, corners, sorter=order)], return_inverse=True
+    )
     nodes = places.reshape(-1, 3)[used, :2]
     return _blank(nodes, triangles.reshape(-1, 3), np.zeros((0, 4), dtype=int), orientation)
 
 
+def check_same_size(size: float, built: float | None) -> None:
+    """Refuse to build a model on the user's own mesh at another size than it was built before.
+
+    Raises
+    ------
+    InputError
+    """
+    if built is not None and size != built:
+        raise InputError(f"a mesh of its own has one size only: not {size:g} mm")
+
+
 def own_mesh(path: str | Path, orientation: float = 0.0, scale: float = 1.0) -> Blank:
-    """Read the user's own flat mesh of triangles and quadrilaterals (whatever meshio reads).
+    """Read the user's own flat mesh of triangles and quadrilaterals (any format of meshio).
 
     Parameters
     ----------
@@ -100,14 +115,14 @@ def own_mesh(path: str | Path, orientation: float = 0.0, scale: float = 1.0) -> 
         check_number("scale", scale)
         check_file(path)
         mesh = read_mesh(path)
-        blocks = mesh.cells_dict
-        triangles = np.asarray(blocks.get("triangle", np.zeros((0, 3), dtype=int)))
-        quads = np.asarray(blocks.get("quad", np.zeros((0, 4), dtype=int)))
+        triangles, quads = (
+            np.asarray(mesh.cells_dict.get(kind, np.zeros((0, corners), dtype=int)))
+            for kind, corners in (("triangle", 3), ("quad", 4))
+        )
         if not len(triangles) + len(quads):
             raise InputError("no triangles or quadrilaterals")
-        points = np.pad(mesh.points, ((0, 0), (0, 3 - mesh.points.shape[1]))).astype(float)
-        check_numbers(points, np.concatenate([triangles.ravel(), quads.ravel()]))
-        points *= scale
+        check_numbers(mesh.points, np.concatenate([triangles.ravel(), quads.ravel()]))
+        points = scale * mesh.points
         if np.ptp(points[:, 2]) > 1e-6 * np.ptp(points):
             raise InputError(f"the mesh is not flat: its z spans {np.ptp(points[:, 2]):.3g} mm")
         used = np.unique(np.r_[triangles.ravel(), quads.ravel()])
@@ -120,6 +135,8 @@ def own_mesh(path: str | Path, orientation: float = 0.0, scale: float = 1.0) -> 
 
 def outline_of(blank: Blank) -> shapely.Polygon:
     """Return the outline of a blank with its holes."""
+    import shapely
+
     outer, *holes = (blank.nodes[loop] for loop in blank.outline)
     return shapely.Polygon(outer, holes)
 
@@ -143,8 +160,8 @@ def _blank(nodes: FloatArray, triangles: IntArray, quads: IntArray, orientation:
     twice = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
     flat = np.abs(twice) <= 1e-6 * (u**2 + v**2).sum(1)
     if flat.any():
-        x, y = nodes[triangles[flat.argmax()]].mean(0)
-        raise InputError(f"an element without area at ({x:.4g}, {y:.4g}) mm")
+        at = position(nodes[triangles[flat.argmax()]].mean(0))
+        raise InputError(f"an element without area at {at} mm")
     triangles[twice < 0] = triangles[twice < 0][:, ::-1]
     R = rotation(orientation)
     blank = Blank(nodes, triangles, R[:, 0], R[:, 1])
@@ -157,8 +174,10 @@ def _blank(nodes: FloatArray, triangles: IntArray, quads: IntArray, orientation:
 def _pairs(blank: Blank, count: int) -> IntArray:
     """Pair the first `count` triangles with neighbours, for as many and as good quadrilaterals.
 
-    A matching of most weight in the graph of neighbours; what stays alone is paired with itself.
+    A matching of largest weight in the graph of neighbours; single ones are paired with themselves.
     """
+    from scipy.optimize import Bounds, LinearConstraint, milp
+
     mesh, nodes = blank.mesh, blank.nodes
     inner = np.flatnonzero((mesh.f2t[1] >= 0) & (mesh.f2t < count).all(0))
     if not len(inner):

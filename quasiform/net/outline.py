@@ -6,48 +6,38 @@ lines whose ends meet become loops; the largest loop is the outline and those in
 
 from __future__ import annotations
 
+import itertools
 import logging
 import re
 from collections.abc import Iterable, Sequence
-from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 import shapely
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
-from ..checks import InputError, check_file, check_number
-from ..tools.surface_file import CAD, MESHES, read_surface
+from ..checks import InputError, check_file, check_number, naming, optional
+from ..tables import read_numbers
+from ..tools.mending import edges_of, position, together
+from ..tools.surface_file import KINDS, read_surface
+from .blank import check_unit
 
 FloatArray = np.ndarray
 CHORD = 0.01  # mm, largest distance of a polygon from the curve it stands for
 GAP = 0.05  # mm, ends of lines nearer than this meet
-SMALLEST, LARGEST = 5.0, 20e3  # mm across; beyond, the unit of a file is doubted
+CURVES = ("LINE", "LWPOLYLINE", "POLYLINE", "ARC", "CIRCLE", "ELLIPSE", "SPLINE")
 TABLES = (".csv", ".txt", ".xy", ".dat")
 
 
 def rectangle(
     length: float, width: float, centre: tuple[float, float] = (0.0, 0.0)
 ) -> shapely.Polygon:
-    """Rectangle, mm, length along x.
-
-    Raises
-    ------
-    InputError
-    """
+    """Rectangle, mm, length along x. InputError unless the sides are positive."""
     half = 0.5 * check_number("length", length), 0.5 * check_number("width", width)
     return shapely.box(*np.subtract(centre, half), *np.add(centre, half))
 
 
 def disc(radius: float, centre: tuple[float, float] = (0.0, 0.0)) -> shapely.Polygon:
-    """Disc, mm: an inscribed polygon with a corner every degree or less.
-
-    Raises
-    ------
-    InputError
-    """
+    """Disc, mm: a polygon in it, a corner a degree or less. InputError for a bad radius."""
     check_number("radius", radius)
     # radius (1 - cos(π/n)) < CHORD
     n = 360 * int(np.ceil(np.pi / 360 * np.sqrt(radius / (2 * CHORD)) + 1e-9))
@@ -58,10 +48,7 @@ def disc(radius: float, centre: tuple[float, float] = (0.0, 0.0)) -> shapely.Pol
 def polygon(points: Sequence[tuple[float, float]]) -> shapely.Polygon:
     """Polygon through points (n, 2), mm, in either sense, closed or not.
 
-    Raises
-    ------
-    InputError
-        For less than three points, or edges that cross.
+    InputError for less than three points, or edges that cross.
     """
     try:
         points = np.asarray(points, dtype=float)
@@ -73,17 +60,13 @@ def polygon(points: Sequence[tuple[float, float]]) -> shapely.Polygon:
 
 
 def with_holes(outline: shapely.Polygon, holes: Iterable[shapely.Polygon]) -> shapely.Polygon:
-    """Cut holes, which must lie inside without touching, out of an outline.
-
-    Raises
-    ------
-    InputError
-    """
+    """Cut holes out of an outline. InputError unless they lie inside without touching."""
     for k, hole in enumerate(holes, 1):
         if not outline.contains_properly(hole):
+            at = position(hole.centroid.coords[0])
             raise InputError(
-                f"hole {k} near {_place(hole.centroid)} does not lie inside the outline, clear of "
-                "its edge and of other holes"
+                f"hole {k} near {at} does not lie inside the outline, clear of its edge and of "
+                "other holes"
             )
         outline = outline.difference(hole)
     return outline
@@ -96,8 +79,8 @@ def read_outline(path: str | Path, scale: float = 1.0) -> shapely.Polygon:
     .dxf                              lines, polylines, arcs, circles, ellipses and splines of the
                                       model space, also in blocks; ends nearer than 0.05 mm meet,
                                       open lines inside the outline are ignored; needs ezdxf
-    .msh .vtu .vtk .stl .obj .ply     the rim of a flat mesh
-    .step .iges .brep .geo            the rim of a flat surface; needs gmsh
+    .msh .vtu .vtk .stl .obj .ply     the rim of a flat mesh; .stl needs trimesh
+    .step .iges .brep                 the rim of a flat surface; needs gmsh
     .csv .txt .xy .dat                a corner x, y a line, with or without a heading
     ================================  ============================================================
 
@@ -120,76 +103,45 @@ def read_outline(path: str | Path, scale: float = 1.0) -> shapely.Polygon:
     """
     path = Path(path)
     kind = path.suffix.lower()
-    try:
+    with naming(path):
         check_number("scale", scale)
-        if kind in (".dxf", *TABLES):
-            check_file(path)
+        if kind not in (known := (".dxf", *KINDS, *TABLES)):
+            raise InputError(
+                f"unknown kind of outline '{kind}': expected one of {', '.join(known)}"
+            )
+        check_file(path)
         if kind == ".dxf":
             outline = _from_lines(_drawn(path, scale), GAP)
-        elif kind in MESHES or kind in CAD:
-            outline = _from_lines(_rim(*read_surface(path, scale)), 0.0)
         elif kind in TABLES:
-            outline = _loop(scale * _table(path.read_text(encoding="utf-8-sig")))
+            points = read_numbers(path, most=2)[2]
+            if not np.isfinite(points).all():
+                raise InputError("not all coordinates are finite numbers")
+            outline = _loop(scale * points)
         else:
-            known = ", ".join([".dxf", *MESHES, *CAD, *TABLES])
-            raise InputError(f"unknown kind of outline '{kind}': expected one of {known}")
+            outline = _from_lines(_rim(*read_surface(path, scale)), 0.0)
         low_x, low_y, high_x, high_y = outline.bounds
         check_unit(max(high_x - low_x, high_y - low_y), scale)
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: {error}") from error
-    except InputError as error:
-        named = str(error).startswith(str(path))
-        raise InputError(str(error) if named else f"{path}: {error}") from error
     return outline
-
-
-def _table(text: str) -> FloatArray:
-    """(n, 2) points of a table of two or more columns; the first line may be a heading."""
-    points: list[list[float]] = []
-    first = True
-    for number, line in enumerate(text.splitlines(), 1):
-        line = line.split("#")[0].strip()
-        if not line:
-            continue
-        if ";" in line:  # where the comma is the decimal sign
-            line = line.replace(",", ".")
-        try:
-            x, y = (float(word) for word in re.split(r"[\s,;]+", line)[:2])
-            points.append([x, y])
-        except ValueError:
-            if not first:
-                raise InputError(f"line {number}: expected x, y, got {line!r}") from None
-        first = False
-    if not np.isfinite(points).all():
-        raise InputError("not all coordinates are finite numbers")
-    return np.reshape(points, (-1, 2))
 
 
 def _drawn(path: Path, scale: float) -> list[FloatArray]:
     """Lines (n, 2), mm, of the model space of a drawing."""
-    try:
-        ezdxf = import_module("ezdxf")
-        paths, blocks = import_module("ezdxf.path"), import_module("ezdxf.disassemble")
-        units = import_module("ezdxf.units")
-        logging.getLogger("ezdxf").addHandler(logging.NullHandler())  # else it prints warnings
-    except ImportError as error:
-        raise InputError("a .dxf file needs ezdxf: pip install 'quasiform[cad]'") from error
+    ezdxf, paths, blocks, units = (
+        optional(f"ezdxf{part}", "cad", "a .dxf file needs ezdxf")
+        for part in ("", ".path", ".disassemble", ".units")
+    )
+    logging.getLogger("ezdxf").addHandler(logging.NullHandler())  # else it prints warnings
     try:
         drawing = ezdxf.readfile(path)
         unit = drawing.header.get("$INSUNITS", 0)
         scale *= units.conversion_factor(unit, units.MM) if unit else 1.0
         lines = []
         for entity in blocks.recursive_decompose(drawing.modelspace()):
-            if entity.dxftype() in (
-                *("LINE", "LWPOLYLINE", "POLYLINE"),
-                *("ARC", "CIRCLE", "ELLIPSE", "SPLINE"),
-            ):
+            if entity.dxftype() in CURVES:
                 curve = paths.make_path(entity)
                 points = np.array([p.vec2 for p in curve.flattening(CHORD / scale)], dtype=float)
                 lines.append(scale * points.reshape(-1, 2))
-    except Exception as error:  # whatever the parser meets
+    except Exception as error:  # any that the parser raises
         reason = " ".join(str(error).replace(f"'{path}'", "it").split())
         reason = reason or type(error).__name__
         raise InputError(f"not a readable .dxf file: {reason}") from error
@@ -200,9 +152,8 @@ def _rim(vertices: FloatArray, triangles: np.ndarray) -> list[FloatArray]:
     """Edges (2, 2) that belong to one triangle only, of a flat mesh."""
     if np.ptp(vertices[:, 2]) > 1e-3 * np.ptp(vertices, axis=0).max():
         raise InputError(f"the surface is not flat: its z spans {np.ptp(vertices[:, 2]):.3g} mm")
-    edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    edges, count = np.unique(edges, axis=0, return_counts=True)
-    return list(vertices[edges[count == 1], :2])
+    edges, count, _ = edges_of(triangles)
+    return list(vertices[np.sort(edges[count == 1], axis=1), :2])
 
 
 def _from_lines(lines: list[FloatArray], gap: float) -> shapely.Polygon:
@@ -212,35 +163,30 @@ def _from_lines(lines: list[FloatArray], gap: float) -> shapely.Polygon:
         raise InputError("no lines found")
     merged = shapely.get_parts(shapely.line_merge(shapely.MultiLineString(lines)))
     closed = shapely.is_closed(merged)
-    loops = sorted((_loop(shapely.get_coordinates(m)) for m in merged[closed]), key=_minus_area)
+    loops = [_loop(shapely.get_coordinates(line)) for line in merged[closed]]
+    loops.sort(key=lambda loop: -loop.area)
     loose = merged[~closed]
     if len(loops):
         loose = loose[~shapely.covers(loops[0].buffer(GAP), loose)]
     if len(loose):
         raise InputError(_open_end(loose))
-    outline, holes = loops[0], []
-    for loop in loops[1:]:
-        if not any(
-            loop.symmetric_difference(other).area < GAP * loop.length for other in (outline, *holes)
-        ):  # else drawn twice
+    outline, *others = loops
+    holes: list[shapely.Polygon] = []
+    for loop in others:
+        apart = [loop.symmetric_difference(other).area for other in (outline, *holes)]
+        if min(apart) >= GAP * loop.length:  # else drawn twice
             holes.append(loop)
     for hole in holes:
         if not outline.contains_properly(hole):
+            at = position(hole.centroid.coords[0])
             raise InputError(
-                f"more than one outline: a second loop near {_place(hole.centroid)} does not lie "
-                "inside the largest"
+                f"more than one outline: a second loop near {at} does not lie inside the largest"
             )
-    for k, hole in enumerate(holes):
-        for other in holes[k + 1 :]:
-            if hole.intersects(other):
-                raise InputError(
-                    f"a loop lies inside or across another hole near {_place(other.centroid)}"
-                )
+    for hole, other in itertools.combinations(holes, 2):
+        if hole.intersects(other):
+            at = position(other.centroid.coords[0])
+            raise InputError(f"a loop lies inside or across another hole near {at}")
     return shapely.orient_polygons(with_holes(outline, holes))
-
-
-def _minus_area(shape: shapely.Polygon) -> float:
-    return -shape.area
 
 
 def _joined(lines: list[FloatArray], gap: float) -> list[FloatArray]:
@@ -249,11 +195,7 @@ def _joined(lines: list[FloatArray], gap: float) -> list[FloatArray]:
     if not lines:
         return []
     ends = np.vstack([line[[0, -1]] for line in lines])
-    pairs = cKDTree(ends).query_pairs(gap, output_type="ndarray")
-    links = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(ends), len(ends)))
-    count, group = connected_components(links, directed=False)
-    share = np.bincount(group, minlength=count)[:, None]
-    middle = np.stack([np.bincount(group, x, minlength=count) for x in ends.T], axis=1) / share
+    middle, group, _ = together(ends, gap)
     different = {}
     for line, (start, end) in zip(lines, middle[group.reshape(-1, 2)], strict=True):
         line = np.vstack([start, line[1:-1], end])
@@ -264,16 +206,18 @@ def _joined(lines: list[FloatArray], gap: float) -> list[FloatArray]:
 
 def _open_end(lines: np.ndarray) -> str:
     """Say where lines that do not close end or branch."""
+    from scipy.spatial import cKDTree
+
     ends = np.vstack([shapely.get_coordinates(line)[[0, -1]] for line in lines])
     points, times = np.unique(ends, axis=0, return_counts=True)
     free = points[times == 1]
     if len(free) < 2:
-        return f"lines branch at {_place(points[times.argmax()])}: expected closed loops"
+        return f"lines branch at {position(points[times.argmax()])}: expected closed loops"
     distance, nearest = cKDTree(free).query(free, k=2)
     at = distance[:, 1].argmin()
     return (
-        f"no closed loop: gap of {distance[at, 1]:.3g} mm between {_place(free[at])} and "
-        f"{_place(free[nearest[at, 1]])}"
+        f"no closed loop: gap of {distance[at, 1]:.3g} mm between {position(free[at])} and "
+        f"{position(free[nearest[at, 1]])}"
     )
 
 
@@ -282,31 +226,12 @@ def _loop(points: FloatArray) -> shapely.Polygon:
     if len(points) < 3:
         raise InputError(f"an outline needs three points, got {len(points)}")
     loop = shapely.Polygon(points)
-    if not loop.is_valid:
-        reason = shapely.is_valid_reason(loop)
-        place = re.search(r"\[(\S+) (\S+)\]", reason)
-        if place and shapely.convex_hull(loop).area > 1e-9 * loop.length**2:
-            raise InputError(f"the outline crosses itself at {_place(map(float, place.groups()))}")
-        raise InputError("the outline encloses no area")
-    if loop.area <= 1e-9 * loop.length**2:
+    nothing = 1e-9 * loop.length**2
+    place = re.search(r"\[(\S+) (\S+)\]", shapely.is_valid_reason(loop))
+    if place and shapely.convex_hull(loop).area > nothing:
+        raise InputError(
+            f"the outline crosses itself at {position([float(x) for x in place.groups()])}"
+        )
+    if not loop.is_valid or loop.area <= nothing:
         raise InputError("the outline encloses no area")
     return shapely.orient_polygons(loop)
-
-
-def check_unit(across: float, scale: float) -> None:
-    """Doubt the unit of a blank that is a few mm or many metres across.
-
-    Raises
-    ------
-    InputError
-    """
-    if not SMALLEST <= across <= LARGEST:
-        unit, factor = ("metres", 1000.0) if across < SMALLEST else ("micrometres", 1e-3)
-        raise InputError(
-            f"the blank is {across:.3g} mm across: is it in {unit}? set scale = {factor * scale:g}"
-        )
-
-
-def _place(point: shapely.Point | Iterable[float]) -> str:
-    x, y = (point.x, point.y) if isinstance(point, shapely.Point) else point
-    return f"({round(x, 6) + 0.0:.4g}, {round(y, 6) + 0.0:.4g})"

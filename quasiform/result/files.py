@@ -43,10 +43,10 @@ def check_folder(out: str | Path, *, force: bool = False, names: Sequence[str] =
     with _writing_to(folder):
         if folder.exists() and not folder.is_dir():
             raise InputError(f"cannot write to {folder}: it is not a folder")
-        held = _held(folder, names)
-        if held and not force:
+        found = _existing(folder, names)
+        if found and not force:
             raise InputError(
-                f"{folder} holds a result already ({held[0].name}): "
+                f"{folder} holds a result already ({found[0].name}): "
                 "choose another folder, or replace it with --force"
             )
         with _made(folder):
@@ -80,12 +80,12 @@ def added(folder: Path, *, instead: Sequence[str] = ()) -> Iterator[Path]:
     ----------
     folder : path
     instead : sequence of str
-        Names of an older result, whose files go then; the folder is made if missing.
+        Names of an older result, whose files are removed; the folder is made if missing.
 
     Raises
     ------
     OSError
-        If the folder is gone or cannot be written.
+        If the folder was removed or cannot be written.
     """
     with (
         _made(folder) if instead else nullcontext(),
@@ -93,21 +93,21 @@ def added(folder: Path, *, instead: Sequence[str] = ()) -> Iterator[Path]:
     ):
         yield Path(staging)
         new = {path.name for path in Path(staging).iterdir()}
-        old = [path for path in _held(folder, instead) if path.name not in new]
+        old = [path for path in _existing(folder, instead) if path.name not in new]
         for name in sorted(new):
             os.replace(Path(staging, name), folder / name)
         for path in old:
             path.unlink(missing_ok=True)
 
 
-def _held(folder: Path, names: Sequence[str]) -> list[Path]:
+def _existing(folder: Path, names: Sequence[str]) -> list[Path]:
     named = [folder / name for name in names if (folder / name).exists()]
     return named + (sorted(folder.glob(INCREMENTS)) if names is FILES else [])
 
 
 @contextmanager
 def _made(folder: Path) -> Iterator[None]:
-    """Make a folder for the time being; it stays if something has been put into it."""
+    """Make a folder; remove it at the end if nothing has been put into it."""
     missing = [path for path in (folder, *folder.parents) if not path.exists()]
     folder.mkdir(parents=True, exist_ok=True)
     try:

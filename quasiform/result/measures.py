@@ -1,78 +1,28 @@
-"""What is read off a sheet: draw-in, means over areas, percentiles, and where not to trust it."""
+"""What is read off a formed sheet and its tools: draw-in, means, penetration, wrinkles, limits."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 
+from ..energy.bending import Bending
+from ..energy.contact import LEVER, Contact, moment
 from ..energy.membrane import Membrane
-from ..net.blank import Blank, rotation
+from ..energy.term import Term
+from ..net.blank import Blank
+from ..net.edges import EdgePoint, disc, edge_points
+from .sheet import FormedSheet
+
+__all__ = ["EdgePoint", "disc", "edge_points"]
 
 FloatArray = np.ndarray
+LIFTED = 0.1  # of the thickness: a flange that is lifted further has wrinkled
 SLIP_GRADIENT = 2.4
 """Shear gradient at which rovings may slip, degrees/mm: in the 45° off-axis tension test the paper
 saw slippage from u = 30 mm on, where the shear jumps by 12° between zones; over a width of 5 mm
 (*inferred* from stated facts, the width *assumed*)."""
-
-
-@dataclass(frozen=True)
-class EdgePoint:
-    """A point of the blank's outline, between two nodes, and its inward direction."""
-
-    nodes: np.ndarray  # (2,)
-    shares: FloatArray  # (2,)
-    inward: FloatArray  # (2,)
-    flat: FloatArray  # (2,) mm
-
-    def draw_in(self, positions: FloatArray) -> float:
-        """Inward motion, mm, for positions (n_nodes, 2 or 3)."""
-        return float(self.inward @ (self.shares @ positions[self.nodes, :2] - self.flat))
-
-
-def edge_points(blank: Blank, turn: float = 0.0) -> dict[str, EdgePoint]:
-    """Outermost points of the outline from the blank's middle along "+x", "-x", "+y", "-y".
-
-    Parameters
-    ----------
-    blank : Blank
-        The whole sheet.
-    turn : float
-        Degrees by which the blank, and with it its x and y, is turned.
-    """
-    R = rotation(turn)
-    rim = blank.mesh.facets[:, blank.mesh.boundary_facets()].T
-    flat = blank.nodes @ R  # in the blank's own axes
-    middle = 0.5 * (flat.min(0) + flat.max(0))
-    start, step = flat[rim[:, 0]] - middle, np.diff(flat[rim], axis=1)[:, 0]
-    points = {}
-    for axis, name in enumerate("xy"):
-        for mark, sign in (("+", 1.0), ("-", -1.0)):
-            other = 1 - axis
-            with np.errstate(divide="ignore", invalid="ignore"):
-                s = -start[:, other] / step[:, other]
-            crosses = (s >= -1e-9) & (s <= 1 + 1e-9)
-            if not crosses.any():
-                continue
-            along = start[:, axis] + np.where(crosses, s, 0.0) * step[:, axis]
-            reach = np.where(crosses, sign * along, 0.0)
-            at = reach.argmax()
-            if reach[at] <= 0:
-                continue
-            share = float(np.clip(s[at], 0.0, 1.0))
-            outward = np.zeros(2)
-            outward[axis] = sign
-            shares = np.array([1.0 - share, share])
-            points[mark + name] = EdgePoint(
-                rim[at], shares, -R @ outward, shares @ blank.nodes[rim[at]]
-            )
-    return points
-
-
-def disc(blank: Blank, centre: tuple[float, float], radius: float) -> np.ndarray:
-    """(n_triangles,) bool array: triangles with their centroid in a disc of the flat blank."""
-    return np.linalg.norm(blank.centroids - centre, axis=1) <= radius
 
 
 def percentile(values: FloatArray, areas: FloatArray, share: float) -> float:
@@ -106,10 +56,7 @@ def shear_gradient(blank: Blank, gamma: FloatArray) -> FloatArray:
 
     That of the linear interpolation of area-weighted means at the nodes.
     """
-    corners = blank.triangles.ravel()
-    weight = np.repeat(blank.areas, 3)
-    total = np.bincount(corners, weight, minlength=len(blank.nodes))
-    at_nodes = np.bincount(corners, weight * np.repeat(gamma, 3), minlength=len(total)) / total
+    at_nodes = FormedSheet(flat=blank.nodes, triangles=blank.triangles).at_nodes(gamma)
     grad = blank.basis.interpolate(at_nodes).grad[:, :, 0]
     return np.linalg.norm(grad, axis=0)
 
@@ -149,33 +96,118 @@ def waves(flat: FloatArray, along: FloatArray, curvature: FloatArray) -> tuple[i
     return len(wavy), 2.0 * float(np.median(spacing)) if len(spacing) else None
 
 
-def discretisation_error(values: Sequence[FloatArray | float]) -> FloatArray | float:
-    """Error of the mesh from the same quantity on meshes that double in size, finest first.
+def flange_lift(contacts: Iterable[Contact], x: FloatArray) -> float:
+    """How far the sheet leaves the flat faces of fixed tools, mm, at positions x (n_dofs,)."""
+    lift = 0.0
+    for contact in contacts:
+        if contact.tool.motion == "fixed":
+            d, n, _ = contact.distance(contact.relative(x))
+            above = np.abs(n[:, 2]) > 0.99
+            gaps = (d - contact.reach - contact.points.sag)[above]
+            lift = max(lift, float(gaps.max(initial=0.0)))
+    return lift
 
-    The differences between the levels go on as they did, by the ratio r of the last two, over three
-    more halvings: error = 5/4 d (r + r² + r³), with the safety factor of the grid convergence
-    index [1]_. r is kept between a quarter (second order) and two: where a boundary layer is not
-    resolved yet, differences grow for a while. Where two levels happen to agree, the quarter of the
-    difference before stands in. Two levels alone tell no ratio: the error is twice their
-    difference.
+
+def wrinkles(
+    terms: Iterable[Term], x: FloatArray, blank: Blank, source: np.ndarray
+) -> dict[str, float | None]:
+    """Largest curvature (1/mm), and waves of each family of fibres off punch and die.
 
     Parameters
     ----------
-    values : sequence of float or (n,) arrays
-        At least two.
+    terms : iterable of Term
+        Of the modelled part.
+    x : (n_dofs,) array
+        mm.
+    blank : Blank
+        The whole sheet.
+    source : (n_nodes,) int array
+        Node of the modelled part that each node of the whole mirrors.
 
     Returns
     -------
-    float or (n,) array
-
-    References
-    ----------
-    .. [1] P. J. Roache, Journal of Fluids Engineering 116 (1994) 405-413.
+    dict
+        Empty without bending; else the curvature, how many lines wave, and their wavelength (mm).
     """
-    last = np.abs(np.subtract(values[0], values[1]))
-    if len(values) == 2:
-        return 2.0 * last
-    before = np.abs(np.subtract(values[1], values[2]))
-    last = np.maximum(last, before / 4)
-    r = np.clip(np.divide(last, before, out=np.ones_like(last), where=before > 0), 0.25, 2.0)
-    return (1.25 * last * (r + r**2 + r**3))[()]
+    terms, found = list(terms), {}
+    for term in terms:
+        if not isinstance(term, Bending):
+            continue
+        kappa = term.curvature(x)
+        found["largest_curvature_1_per_mm"] = float(np.abs(kappa).max())
+        at_nodes = np.full((source.max() + 1, 2), np.nan)
+        at_nodes[term.nodes[:, 0]] = kappa
+        for contact in terms:
+            if isinstance(contact, Contact) and contact.tool.motion != "free":
+                at_nodes[contact.nodal_force(x) > 0] = np.nan
+        for f, family in enumerate(("warp", "weft")):
+            lines, wavelength = waves(blank.nodes, getattr(blank, family), at_nodes[source, f])
+            found[f"waving_{family}_lines"] = lines
+            found[f"{family}_wavelength_mm"] = wavelength
+    return found
+
+
+def max_penetration(contacts: Iterable[Contact], x: FloatArray) -> float:
+    """Deepest penetration into a tool at the contact points, mm."""
+    return max([0.0, *(float(contact.penetration(x).max()) for contact in contacts)])
+
+
+def chord_penetration(
+    contacts: Iterable[Contact], x: FloatArray, middles: FloatArray, thickness: float
+) -> float:
+    """Deepest penetration at the middle of an element edge, mm: how far chords cut fillets.
+
+    Parameters
+    ----------
+    contacts : iterable of Contact
+    x : (n_dofs,) array
+        mm.
+    middles : (n_edges, 3) array
+        Middles of the element edges, mm.
+    thickness : float
+        Of the sheet, mm.
+    """
+    deepest = 0.0
+    for contact in contacts:
+        y = contact.in_tool_frame(x, middles - contact.origin(x))
+        deepest = max(deepest, 0.5 * thickness - float(contact.distance(y)[0].min()))
+    return deepest
+
+
+def resting_tools(
+    model: Any, x: FloatArray, start: FloatArray
+) -> dict[str, dict[str, float | list[float]]]:
+    """Lift (mm) and tilt (degrees) of each free tool, or the moment its guide takes (N mm).
+
+    Parameters
+    ----------
+    model : Scene
+    x, start : (n_dofs,) arrays
+        Positions and rigid degrees of freedom now and at the start, mm.
+    """
+    found: dict[str, dict[str, Any]] = {}
+    for contact in model.contacts:
+        tool, dofs = contact.tool, contact.tool_dofs
+        if tool.motion != "free":
+            continue
+        entry = found.setdefault(tool.name, {"lift_mm": float(x[dofs[0]] - start[dofs[0]])})
+        if tool.tilts:
+            entry["tilt_deg"] = np.degrees(model.sheet.to_user(x[dofs[1:]]) / LEVER).tolist()
+            continue
+        turning = moment(contact, x) / model.share
+        for axis, plane in enumerate("xy"):
+            if plane in model.sheet.blank.mirror:
+                turning[1 - axis] = 0.0
+        turning = model.sheet.to_user(turning) + entry.get("held_moment_Nmm", np.zeros(2))
+        entry["held_moment_Nmm"] = turning.tolist()
+    return found
+
+
+def interpolated(nodes: FloatArray, values: FloatArray, points: FloatArray) -> FloatArray:
+    """Values at (k, 2) points from those at (n, 2) nodes: linear, beyond them the nearest."""
+    from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
+
+    found = LinearNDInterpolator(nodes, values)(points)
+    outside = np.isnan(found)
+    found[outside] = NearestNDInterpolator(nodes, values)(points[outside])
+    return found

@@ -17,9 +17,11 @@ from ..energy.membrane import Membrane
 from ..energy.paired_membrane import membrane_of
 from ..energy.weight import SheetWeight
 from ..fabric import Fabric, fabric_of
-from ..model import Scene
+from ..model import Model
 from ..net.blank import Blank, rectangle
-from ..net.free_mesh import PAIRED, own_mesh, triangulate
+from ..net.free_mesh import PAIRED, check_same_size, own_mesh, triangulate
+from ..recipe import built
+from ..unknowns import Unknowns
 
 FloatArray = np.ndarray
 
@@ -32,7 +34,7 @@ def off_axis_tension(
     displacement: float = 80.0,
     size: float = 10.0,
     mesh: str | Path = "fibre",
-) -> Scene:
+) -> Model:
     """Off-axis tension test (Schäfer et al., Fig. 2 a) as a plane problem with rigid grips.
 
     The grips are the lines x = ±length/2; the right one moves along x. Fibre lines run through the
@@ -54,7 +56,7 @@ def off_axis_tension(
 
     Returns
     -------
-    Scene
+    Model
 
     Raises
     ------
@@ -77,46 +79,57 @@ def off_axis_tension(
         )
     if size > width:
         raise InputError(f"size must not exceed the width {width:g} mm, got {size:g}")
+    return built(
+        strip_under_tension,
+        size,
+        angle=angle,
+        fabric=fabric,
+        length=length,
+        width=width,
+        displacement=displacement,
+        mesh=mesh if mesh in ("fibre", "free") else Path(mesh),
+    )
+
+
+def strip_under_tension(
+    size: float,
+    like: Model | None,
+    angle: float,
+    fabric: Fabric,
+    length: float,
+    width: float,
+    displacement: float,
+    mesh: str | Path,
+) -> Model:
+    """Build the model of an off-axis tension test."""
     spacing = size / np.sqrt(2.0)
     if mesh == "fibre":
         blank = rectangle(length, width, spacing, orientation=-angle)
     elif mesh == "free":
-        blank = triangulate(
-            shapely.box(*np.array([-length, -width, length, width]) / 2), spacing, -angle
-        )
+        sides = np.array([-length, -width, length, width]) / 2
+        blank = triangulate(shapely.box(*sides), spacing, -angle)
     else:
+        check_same_size(size, like and like.size)
         blank = own_mesh(mesh, -angle)
-    x0 = blank.nodes.ravel().copy()
+    sheet = (unknowns := Unknowns()).sheet(blank, fabric, 2)
     left = blank.nodes[:, 0] < -length / 2 + 1e-6 * size
     right = blank.nodes[:, 0] > length / 2 - 1e-6 * size
-    drive = np.zeros(len(x0))
-    drive[0::2] = right
-    membrane = membrane_of(blank, fabric, dim=2)
-    zones = off_axis_zones(blank, length, width, angle)
-    # the centre: inside the zone of full shear and near the middle of the specimen
-    band = min(
-        length * sin(radians(angle)) - width * cos(radians(angle)),
-        length * cos(radians(angle)) - width * sin(radians(angle)),
-    )
-    radius = min(width / 8, band / 2)
-    centre = zones["full"] & (np.linalg.norm(blank.centroids, axis=1) < radius)
-    if not centre.any():
-        near = np.linalg.norm(blank.centroids, axis=1)
-        centre = zones["full"] & (near <= near[zones["full"]].min() * (1 + 1e-9))
-    weights = np.where(centre, blank.areas, 0.0) / blank.areas[centre].sum()
+    drive = np.zeros(unknowns.size)
+    drive[sheet.dofs[:, 0]] = right
+    membrane = membrane_of(sheet)
+    weights = _centre(blank, length, width, angle)
 
     def mean(quantity: int, x: FloatArray) -> float:
         I4, _, I8 = membrane.invariants(x)
         field = (np.degrees(membrane.shear_angle(x)), 0.5 * (I4 - 1), 0.5 * (I8 - 1))[quantity]
         return float(weights @ field)
 
-    return Scene(
+    return Model(
         name=f"oat-{angle:g}",
-        blank=blank,
-        fabric=fabric,
-        dim=2,
+        unknowns=unknowns,
+        sheets=[sheet],
         terms=[membrane],
-        x0=x0,
+        x0=blank.nodes.ravel().copy(),
         fixed=np.repeat(left | right, 2),
         drive=drive,
         travel=float(displacement),
@@ -140,7 +153,7 @@ def off_axis_tension(
             "E11_center": partial(mean, 1),
             "E22_center": partial(mean, 2),
         },
-        model=[
+        description=[
             ("plane problem", "no tools and no load out of the plane: two dofs a node, held flat"),
             (
                 "bending left out",
@@ -150,15 +163,23 @@ def off_axis_tension(
             ("weight left out", "acts out of the plane"),
             *([PAIRED] if blank.pairs is not None else []),
         ],
-        resized=(
-            None
-            if mesh not in ("fibre", "free")
-            else lambda size: off_axis_tension(
-                angle, fabric, length, width, displacement, size, mesh
-            )
-        ),
         coarsest=width / 4,
     )
+
+
+def _centre(blank: Blank, length: float, width: float, angle: float) -> FloatArray:
+    """(n_triangles,) weights of the centre: in the zone of full shear, near the middle."""
+    zones = off_axis_zones(blank, length, width, angle)
+    band = min(
+        length * sin(radians(angle)) - width * cos(radians(angle)),
+        length * cos(radians(angle)) - width * sin(radians(angle)),
+    )
+    radius = min(width / 8, band / 2)
+    centre = zones["full"] & (np.linalg.norm(blank.centroids, axis=1) < radius)
+    if not centre.any():
+        near = np.linalg.norm(blank.centroids, axis=1)
+        centre = zones["full"] & (near <= near[zones["full"]].min() * (1 + 1e-9))
+    return np.where(centre, blank.areas, 0.0) / blank.areas[centre].sum()
 
 
 def off_axis_zones(
@@ -189,7 +210,7 @@ def picture_frame(
     shear: float = 50.0,
     law: str | Fabric = "locking",
     size: float = 10.0,
-) -> Scene:
+) -> Model:
     """Picture frame: a square net, fibres along the sides, sheared by a hinged rigid frame.
 
     The travel is the displacement d of the pulled corner, d = 2 L cos(π/4 - γ/2) - √2 L.
@@ -207,7 +228,7 @@ def picture_frame(
 
     Returns
     -------
-    Scene
+    Model
 
     Raises
     ------
@@ -219,7 +240,15 @@ def picture_frame(
     check_number("size", size)
     if not 0 < check_number("shear", shear) < 90:
         raise InputError(f"shear must lie below 90 degrees, got {shear:g}")
+    return built(sheet_in_frame, size, side=side, shear=shear, fabric=fabric)
+
+
+def sheet_in_frame(
+    size: float, like: Model | None, side: float, shear: float, fabric: Fabric
+) -> Model:
+    """Build the model of a picture frame."""
     blank = rectangle(side, side, size)
+    sheet = (unknowns := Unknowns()).sheet(blank, fabric, 2)
     rim = np.zeros(len(blank.nodes), dtype=bool)
     rim[np.unique(blank.mesh.facets[:, blank.mesh.boundary_facets()])] = True
     diagonal = np.array([[1.0, 1.0], [-1.0, 1.0]]) / np.sqrt(2.0)  # pulled, and across
@@ -233,12 +262,11 @@ def picture_frame(
         return (along * stretch @ diagonal).ravel(), (along * rate @ diagonal).ravel()
 
     gamma = radians(shear)
-    return Scene(
+    return Model(
         name="picture-frame",
-        blank=blank,
-        fabric=fabric,
-        dim=2,
-        terms=[Membrane(blank, fabric, dim=2)],
+        unknowns=unknowns,
+        sheets=[sheet],
+        terms=[Membrane(sheet)],
         x0=blank.nodes.ravel().copy(),
         fixed=np.repeat(rim, 2),
         drive=frame,
@@ -246,8 +274,7 @@ def picture_frame(
         increment=5.0,
         rows=5.0,
         parameters={"side": side, "shear": shear, "law": fabric.name, "size": size},
-        model=[("plane problem", "held flat by the frame")],
-        resized=lambda size: picture_frame(side, shear, fabric, size),
+        description=[("plane problem", "held flat by the frame")],
     )
 
 
@@ -258,7 +285,7 @@ def cantilever(
     law: str | Fabric = "locking",
     size: float = 5.0,
     family: str = "warp",
-) -> Scene:
+) -> Model:
     """Strip clamped horizontally at one end, bending under its own weight (Peirce's test).
 
     Parameters
@@ -276,7 +303,7 @@ def cantilever(
 
     Returns
     -------
-    Scene
+    Model
 
     Raises
     ------
@@ -288,24 +315,40 @@ def cantilever(
         check_number(name, value)
     if family not in ("warp", "weft"):
         raise InputError(f"family must be 'warp' or 'weft', got {family!r}")
-    blank = rectangle(
-        length, width, size, 0.0 if family == "warp" else -90.0, centre=(length / 2, 0.0)
+    return built(
+        hanging_strip, size, length=length, load=load, width=width, fabric=fabric, family=family
     )
-    n = len(blank.nodes)
+
+
+def hanging_strip(
+    size: float,
+    like: Model | None,
+    length: float,
+    load: float,
+    width: float,
+    fabric: Fabric,
+    family: str,
+) -> Model:
+    """Build the model of a cantilever."""
+    angle = 0.0 if family == "warp" else -90.0
+    blank = rectangle(length, width, size, angle, centre=(length / 2, 0.0))
+    sheet = (unknowns := Unknowns()).sheet(blank, fabric, 3)
+    factor = unknowns.add("load factor of the weight", 1)
     clamped = np.abs(blank.nodes[:, 0]) < 1e-9 * length
-    x0 = np.append(np.column_stack([blank.nodes, np.zeros(n)]).ravel(), 0.0)
-    fixed = np.append(np.repeat(clamped, 3), True)
-    drive = np.zeros(len(x0))
-    drive[-1] = 1.0
-    return Scene(
+    x0, drive = np.zeros(unknowns.size), np.zeros(unknowns.size)
+    x0[sheet.dofs[:, :2]] = blank.nodes
+    fixed = np.zeros(unknowns.size, dtype=bool)
+    fixed[sheet.dofs[clamped]] = True
+    fixed[factor.dofs] = True
+    drive[factor.dofs] = 1.0
+    return Model(
         name=f"cantilever-{family}",
-        blank=blank,
-        fabric=fabric,
-        dim=3,
+        unknowns=unknowns,
+        sheets=[sheet],
         terms=[
-            Membrane(blank, fabric, dim=3),
-            Bending(blank, fabric, clamped),
-            SheetWeight(blank, load, 3 * n),
+            Membrane(sheet),
+            Bending(sheet, clamped),
+            SheetWeight(sheet, load, int(factor.dofs[0, 0])),
         ],
         x0=x0,
         fixed=fixed,
@@ -316,6 +359,5 @@ def cantilever(
         travel_name="load_factor",
         dead_load=load * length * width,
         parameters={"length": length, "load": load, "width": width, "size": size, "family": family},
-        model=[("contact and friction left out", "no tools")],
-        resized=lambda size: cantilever(length, load, width, fabric, size, family),
+        description=[("contact and friction left out", "no tools")],
     )

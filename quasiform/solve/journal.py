@@ -1,12 +1,12 @@
-"""The journal of a run: its folder kept up to date increment by increment, and carried on from.
+"""The journal of a run: its folder is kept up to date, so that a killed run can be continued.
 
-After each increment the state of the run, with the memory of friction and the account of energy,
-goes into `resume.npz`; after each row of the history the files of the result up to there are
-written too, with the status "stopped" and how to carry on. Every file is made beside its place and
-then put there in one step, so that a run killed at any moment leaves readable ones. The first
-record takes the place of an older result; the end of the run replaces the last.
+After each increment the state of the run, with the states of its terms and the energy account, goes
+into `resume.npz`; after each row of the history the files of the result up to there are written
+too, with the status "stopped" and how to continue. Every file is made beside its place and then put
+there in one step, so that a run killed at any moment leaves readable ones. The first record takes
+the place of an older result; the end of the run replaces the last.
 
-`resume.npz` holds numbers and text alone: reading one from a stranger runs no code.
+`resume.npz` holds numbers and text alone. The recipe in it names functions by module and name.
 """
 
 from __future__ import annotations
@@ -14,25 +14,26 @@ from __future__ import annotations
 import io
 import json
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 from shutil import rmtree
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from zipfile import BadZipFile
 
 import numpy as np
 
 from ..checks import InputError
+from ..model import Model
+from ..potential import Memory
+from ..recipe import Recipe
 from ..result.files import FILES, RESUME, added, check_folder
 from ..result.run import Result, State
-
-if TYPE_CHECKING:
-    from .increments import Run
+from .run import Account, Entry, Run
 
 FloatArray = np.ndarray
-KEPT = ("travel", "increments", "work", "gap", "damped", "rescues", "snaps", "collapse")
-KEPT += ("doubt", "ended")
-COUNTED = ("travel", "linear_solves", "solve_s", "carried_on", "convex_taken", "relaxed")
+FORMAT = 2
+COUNTED = ("carried_on", "relaxed", "travel")  # of the equations
+WORKED = ("factorisations", "seconds", "convex_taken")  # of the tangent
 
 
 class Journal:
@@ -42,31 +43,31 @@ class Journal:
     ----------
     out : path
         Folder of the run; made if missing.
-    recipe : dict, optional
-        What the scene is made from, in numbers and text, for `quasiform resume`.
+    options : dict, optional
+        How the run was asked for, in numbers and text, for whoever continues it.
     force : bool
         Whether the folder may hold a result already.
     resume : bool
-        Carry on from the run that it holds.
+        Continue the run that it holds.
 
     Raises
     ------
     InputError
         If the folder cannot be written, holds a result already, or, with `resume`, holds no run
-        that can be carried on.
+        that can be continued.
     """
 
     def __init__(
         self,
         out: str | Path,
-        recipe: dict[str, Any] | None = None,
+        options: dict[str, Any] | None = None,
         *,
         force: bool = False,
         resume: bool = False,
     ) -> None:
-        self.folder, self.recipe = Path(out), recipe
+        self.folder, self.options = Path(out), options or {}
         self.held: dict[str, Any] = {}
-        self.goal = ""  # what follows the travel, in words
+        self.goal = ""  # what follows the travel, as a text
         self._rows = 0
         if resume:
             self._read()
@@ -82,14 +83,40 @@ class Journal:
             with suppress(OSError, ValueError, KeyError, TypeError):
                 status = json.loads((self.folder / "summary.json").read_bytes())["status"]
             done = ": it is completed" if status == "completed" else f" ({RESUME})"
-            raise InputError(f"{self.folder} holds no run that can be carried on{done}")
+            raise InputError(f"{self.folder} holds no run that can be continued{done}")
         try:
             with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
                 arrays = {name: file[name] for name in file.files}
-            self.held = {**json.loads(str(arrays.pop("head"))), "arrays": arrays}
-            self.recipe = self.held["recipe"]
+            held = {**json.loads(str(arrays.pop("head"))), "arrays": arrays}
+            known = held.get("format", 1)
+            if known == FORMAT:
+                self.options = held["options"]
         except (OSError, ValueError, KeyError, TypeError, BadZipFile, EOFError) as error:
             raise InputError(f"{path}: not a record of a run ({error})") from error
+        if known != FORMAT:
+            raise InputError(
+                f"{path}: a record of format {known}, this version continues {FORMAT}: "
+                "start the run again"
+            )
+        self.held = held
+
+    def model(self) -> Model:
+        """Build the model of the recorded run from its recipe.
+
+        Raises
+        ------
+        InputError
+            If the record holds no recipe, or its parts are not there any more.
+        """
+        if not self.held["recipe"]:
+            raise InputError(
+                f"{self.folder}: the run there has no recipe; continue it with "
+                "solve(model, out=..., resume=True)"
+            )
+        try:
+            return Recipe.read(self.held["recipe"]).build()
+        except (TypeError, OSError) as error:
+            raise InputError(f"{self.folder}: not a record of a run ({error})") from error
 
     def record(self, run: Run, step: float, elapsed: float) -> None:
         """Write the run as it stands.
@@ -108,51 +135,48 @@ class Journal:
         OSError
             If the folder is gone or cannot be written; what was there stays.
         """
-        memory = _memory(run)
         with added(self.folder, instead=() if self._rows else FILES) as staging:
-            if memory is not None:
-                (staging / RESUME).write_bytes(self._checkpoint(run, step, elapsed, memory))
+            (staging / RESUME).write_bytes(self._checkpoint(run, step, elapsed))
             if len(run.states) > self._rows:
-                carry_on = "quasiform resume" if self.recipe else "solve(..., resume=True)"
+                how = "quasiform resume" if _recipe(run) else "solve(..., resume=True)"
                 reason = (
                     f"killed or still running after {run.travel:.4g} of "
-                    f"{run.scene.travel:.4g}{self.goal}: {carry_on} carries on"
-                    if memory is not None
-                    else f"killed or still running after {run.travel:.4g}"
+                    f"{run.model.travel:.4g}{self.goal}: {how} continues it"
                 )
                 run.result(reason, elapsed).write(staging, since=self._rows)
                 self._rows = len(run.states)
 
-    def _checkpoint(
-        self, run: Run, step: float, elapsed: float, memory: dict[str, FloatArray]
-    ) -> bytes:
+    def _checkpoint(self, run: Run, step: float, elapsed: float) -> bytes:
+        equations, states = run.equations, run.states
         head = {
-            "recipe": self.recipe,
-            "parameters": run.scene.parameters,
+            "format": FORMAT,
+            "recipe": _recipe(run),
+            "options": self.options,
+            "parameters": run.model.parameters,
             "settings": asdict(run.settings),
             "step": step,
             "elapsed": elapsed,
-            "run": {name: getattr(run, name) for name in KEPT},
-            "equilibrium": {name: getattr(run.equilibrium, name) for name in COUNTED},
-            "entry": [run.entry.travel, run.entry.force, run.entry.stored],
+            "travel": run.travel,
+            "account": asdict(run.account),
+            "equations": {name: getattr(equations, name) for name in COUNTED},
+            "tangent": {name: getattr(equations.tangent, name) for name in WORKED},
         }
-        states = run.states
         stream = io.BytesIO()
         np.savez(
             stream,
             head=np.array(_json(head)),
             x=run.x,
-            g=run.equilibrium.potential.gradient(run.x),
+            g=equations.gradient(run.x),
             states=np.array([state.x for state in states]),
             rows=np.array(
                 [[s.travel, s.force, s.linear_solves, *s.measures.values()] for s in states]
             ),
-            **memory,
+            **_arrays(run.memory),
         )
         return stream.getvalue()
 
     def restore(self, run: Run) -> tuple[float, float]:
-        """Put a run of the same scene where the recorded one was.
+        """Put a run of the same model where the recorded one was.
 
         Parameters
         ----------
@@ -169,7 +193,7 @@ class Journal:
         Raises
         ------
         InputError
-            If the scene or the settings are others, or the record is damaged.
+            If the model or the settings are others, or the record is damaged.
         """
         try:
             return self._restored(run)
@@ -179,12 +203,12 @@ class Journal:
             raise InputError(f"{self.folder / RESUME}: not a record of a run ({error})") from error
 
     def _restored(self, run: Run) -> tuple[float, float]:
-        held, arrays, scene = self.held, self.held["arrays"], run.scene
+        held, arrays, model = self.held, self.held["arrays"], run.model
         other = InputError(
             f"{self.folder}: the run there is of another input: scene, material or program have "
             "changed since"
         )
-        given = json.loads(_json(scene.parameters))
+        given = json.loads(_json(model.parameters))
         settings = json.loads(_json(asdict(run.settings)))
         if changed := [name for name in settings if settings[name] != held["settings"][name]]:
             raise InputError(
@@ -192,31 +216,33 @@ class Journal:
             )
         for parameters in (given, held["parameters"]):
             parameters.pop("scene_file", None)  # it may have moved
-        if held["parameters"] != given or arrays["x"].shape != scene.x0.shape:
+        if held["parameters"] != given or arrays["x"].shape != model.x0.shape:
             raise other
-        run.x = arrays["x"]
+        run.x, run.travel = arrays["x"], held["travel"]
         run.states = [
-            State(row[0], x, row[1], int(row[2]), dict(zip(scene.measures, row[3:], strict=True)))
+            State(row[0], x, row[1], int(row[2]), dict(zip(model.measures, row[3:], strict=True)))
             for x, row in zip(arrays["states"], arrays["rows"].tolist(), strict=True)
         ]
-        for name in KEPT:
-            setattr(run, name, held["run"][name])
+        account = held["account"] | {"entry": Entry(**held["account"]["entry"])}
+        run.account = Account(**account)
         for name in COUNTED:
-            setattr(run.equilibrium, name, held["equilibrium"][name])
-        for i, term in enumerate(scene.remembering):
-            term.recall(_parts(arrays, f"term {i} "))
-        g = run.equilibrium.potential.gradient(run.x)
+            setattr(run.equations, name, held["equations"][name])
+        run.memory = tuple(
+            None if state is None else type(state)(**_parts(arrays, f"term {i} "))
+            for i, state in enumerate(run.memory)
+        )
+        run.equations.take(run.memory)
+        g = run.equations.gradient(run.x)
         if not np.allclose(g, arrays["g"], rtol=1e-9, atol=1e-9 * np.abs(arrays["g"]).max()):
             raise other
-        run.equilibrium.certify(run.x)  # as the run had done: the next steps are the same ones
-        for name in COUNTED:
-            setattr(run.equilibrium, name, held["equilibrium"][name])
-        run.reopen(*held["entry"], _parts(arrays, "rubbing "))
+        run.equations.certify(run.x)  # as the run had done: the next steps are the same ones
+        for name in WORKED:
+            setattr(run.equations.tangent, name, held["tangent"][name])
         self._rows = len(run.states)
         return held["step"], held["elapsed"]
 
     def close(self, result: Result) -> None:
-        """Write the result; a completed run cannot be carried on any more.
+        """Write the result; a completed run cannot be continued.
 
         Where it cannot be written, this becomes the `reason` of the result.
 
@@ -227,28 +253,36 @@ class Journal:
         try:
             with added(self.folder) as staging:
                 result.write(staging)
-            if result.scene.outputs["pictures"]:
+            if result.model.outputs["pictures"]:
                 with added(self.folder) as staging:
                     result.draw(staging)
             if not result.reason:
                 (self.folder / RESUME).unlink(missing_ok=True)
         except OSError as error:
-            told = f"cannot write to {self.folder}: "
-            if told not in result.reason:
-                reason = f"{told}{error.strerror or error}"
+            failed = f"cannot write to {self.folder}: "
+            if failed not in result.reason:
+                reason = f"{failed}{error.strerror or error}"
                 result.reason = f"{result.reason}; {reason}" if result.reason else reason
 
 
-def _memory(run: Run) -> dict[str, FloatArray] | None:
-    """Arrays that terms and account remember, by name; None if a term does not tell."""
-    arrays = {}
-    for i, term in enumerate(run.scene.remembering):
-        if not hasattr(term, "memory"):
-            return None
-        arrays |= {f"term {i} {name}": values for name, values in term.memory().items()}
-    for i, (force, place) in enumerate(run.entry.rubbing):
-        arrays |= {f"rubbing {i} force": force, f"rubbing {i} place": place}
-    return arrays
+def _arrays(memory: Memory) -> dict[str, FloatArray]:
+    """Arrays of the states of the terms by name."""
+    return {
+        f"term {i} {entry.name}": getattr(state, entry.name)
+        for i, state in enumerate(memory)
+        if state is not None
+        for entry in fields(state)
+    }
+
+
+def _recipe(run: Run) -> dict[str, Any] | None:
+    """The recipe of a run's model in numbers and text; None where there is none to be read back."""
+    if run.model.changed:
+        return None
+    try:
+        return run.model.recipe.written()
+    except InputError:  # a change that no other process finds
+        return None
 
 
 def _json(content: Any) -> str:

@@ -1,11 +1,10 @@
 """Mesh continuation: the path on a coarse mesh, its end carried to finer ones.
 
 With friction as mild as that of a fabric the end state hardly remembers the path, so that a coarse
-mesh may find the way. On each finer mesh only the end is solved. It starts from the positions of
-the coarser one, interpolated by cubics (Clough and Tocher) on the flat sheet. Friction starts from
-the last increment of the path: every point slips from where it would have been one increment
-earlier, and so presses in the direction in which it really slides; what a point bears is
-interpolated too, until the contact forces of the finer mesh are found.
+mesh may find the way. On each finer mesh only the end is solved. It starts from the unknowns of
+the coarser one, interpolated by cubics (Clough and Tocher) on the flat sheet. Each term with memory
+carries its state over itself: friction starts from the last increment of the path, so that every
+point presses in the direction in which it really slides.
 
 The meshes of a run need not be nested. Where the end is not found this way, as when a sheet buckles
 differently on a finer mesh, the path is followed there too, and the result says so.
@@ -14,24 +13,22 @@ differently on a finer mesh, the path is followed there too, and the result says
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.interpolate import (
-    CloughTocher2DInterpolator,
-    LinearNDInterpolator,
-    NearestNDInterpolator,
-    RBFInterpolator,
-)
 
 from ..checks import InputError, check_number
-from ..energy.contact import Contact
-from ..model import Scene
+from ..energy.term import Standing
+from ..model import Model
+from ..net.transfer import smoothly
+from ..potential import Memory
 from ..result.run import Result, State
-from .increments import ESTIMATING, Callback, Run, Settings, follow, tell
+from .equilibrium import Equilibrium, NotConvergedError
+from .increments import CHANGED, ESTIMATING, Callback, follow, report
 from .journal import Journal
-from .newton import Equilibrium, NotConvergedError
+from .run import Run, Settings
 
 FloatArray = np.ndarray
 MOST = 100  # Newton iterations of one solve on a finer mesh, before the path is followed there
@@ -40,7 +37,7 @@ CARRIED = 5.0  # mm: length of the last increment that friction starts from, at 
 
 
 def refine(
-    scene: Scene,
+    model: Model,
     callback: Callback | None = None,
     accuracy: float | None = None,
     increment: float | None = None,
@@ -49,14 +46,14 @@ def refine(
     out: str | Path | Journal | None = None,
     resume: bool = False,
 ) -> Result:
-    """Solve the end of a scene on its mesh, and the way there on a coarser one.
+    """Solve the end of a model on its mesh, and the way there on a coarser one.
 
     Parameters
     ----------
-    scene : Scene
+    model : Model
         Its size is that of the end state; with `accuracy`, that of the first mesh to be judged.
     callback : callable, optional
-        Told the `Progress` of the path, which it may stop, as in `solve`.
+        Called with the `Progress` of the path, which it may stop, as in `solve`.
     accuracy : float, optional
         Halve the size until the estimated error of the 99th percentile of the shear angle is
         below it, degrees.
@@ -69,14 +66,15 @@ def refine(
     out : path or Journal, optional
         Folder in which the path is recorded increment by increment, and the result at the end.
     resume : bool
-        Carry on the run of this scene in `out`.
+        Continue the run of this model in `out`.
 
     Returns
     -------
     Result
         With the path as its `path`, and the coarser levels in its estimate. Where a finer mesh
         fails or an accuracy is not reached, the last level that was completed, with the `reason`.
-        A scene that was changed after it was made is solved on its own mesh.
+        A model that was changed by hand after it was built is solved on its own mesh, without an
+        estimate.
 
     Raises
     ------
@@ -89,11 +87,12 @@ def refine(
     settings = Settings(increment, linear=linear, tolerance=tolerance)
     journal = out if isinstance(out, Journal) or out is None else Journal(out, resume=resume)
     clock -= journal.held.get("elapsed", 0.0) if journal else 0.0
-    if _rebuilt_alike(scene):
-        result = _refined(scene, callback, accuracy, settings, journal)
+    if model.changed:
+        result = follow(model, settings, callback, journal)
+        result.notes.append(CHANGED)
     else:
-        result = follow(scene, settings, callback, journal)
-    _say_whether_accurate(result, accuracy)
+        result = _refined(model, callback, accuracy, settings, journal)
+    _check_accuracy(result, accuracy)
     result.wall_s = time.perf_counter() - clock
     if journal:
         journal.close(result)
@@ -101,32 +100,28 @@ def refine(
 
 
 def _refined(
-    scene: Scene,
+    model: Model,
     callback: Callback | None,
     accuracy: float | None,
     settings: Settings,
     journal: Journal | None,
 ) -> Result:
     """Level by level, with the estimate."""
-    scenes = [scene]
-    while 2 * scenes[0].size <= scene.coarsest * (1 + 1e-9):
-        try:
-            scenes.insert(0, scene.resized(2 * scenes[0].size))
-        except InputError:  # too coarse for the blank
-            break
-    if journal and len(scenes) > 1:
-        journal.goal = f" on a mesh of {scenes[0].size:g} mm, the way to one of {scene.size:g} mm"
-    path = follow(scenes[0], settings, callback, journal)
+    models = _coarser(model)
+    if journal and len(models) > 1:
+        journal.goal = f" on a mesh of {models[0].size:g} mm, the way to one of {model.size:g} mm"
+    path = follow(models[0], settings, callback, journal)
     levels, last = [path], _last_increment(path)
-    waiting = scenes[1:]
+    waiting = models[1:]
     while not levels[-1].reason:
-        size = levels[-1].scene.size / 2
-        if not waiting and size >= scene.size / FINEST and _worth_refining(levels, accuracy):
-            waiting = [scene.resized(size)]
+        size = levels[-1].model.size / 2
+        if not waiting and size >= model.size / FINEST and _worth_refining(levels, accuracy):
+            with suppress(InputError):  # the user's own mesh has one size only
+                waiting = [model.recipe.build(size, like=model)]
         if not waiting:
             break
         finer = waiting.pop(0)
-        tell(callback, f"the end on a mesh of {finer.size:g} mm")
+        report(callback, f"the end on a mesh of {finer.size:g} mm")
         try:
             result, path, last = _carry(levels[-1], finer, last, path, callback, settings)
         except KeyboardInterrupt:
@@ -139,28 +134,33 @@ def _refined(
     result = levels[-1]
     result.judge(levels[:-1])
     if len(levels) == 1 and not result.reason:
-        tell(callback, f"error of the mesh: the same at {2 * scene.size:g} mm")
-        try:
-            result.judge([follow(scene.resized(2 * scene.size), settings, partial=False)])
-        except InputError:  # too coarse to be built: the result stands without an estimate
-            pass
-        except KeyboardInterrupt:
-            result.reason = ESTIMATING
+        _judged_by_coarser(result, settings, callback)
     return result
 
 
-def _rebuilt_alike(scene: Scene) -> bool:
-    """Whether the scene at other sizes is the same one: nobody has changed it since it was made."""
-    if scene.resized is None:
-        return False
-    fresh = scene.resized(scene.size)
-    return (
-        [term.name for term in scene.terms] == [term.name for term in fresh.terms]
-        and scene.travel == fresh.travel
-        and scene.fabric == fresh.fabric
-        and np.array_equal(scene.fixed, fresh.fixed)
-        and np.array_equal(scene.x0, fresh.x0)
-    )
+def _coarser(model: Model) -> list[Model]:
+    """The model on coarser meshes, the coarsest on which the path is worth following first."""
+    models = [model]
+    while 2 * models[0].size <= model.coarsest * (1 + 1e-9):
+        try:
+            models.insert(0, model.recipe.build(2 * models[0].size, like=model))
+        except InputError:  # too coarse for the blank
+            break
+    return models
+
+
+def _judged_by_coarser(result: Result, settings: Settings, callback: Callback | None) -> None:
+    """Judge a result by the same model on a mesh twice as coarse."""
+    model = result.model
+    report(callback, f"error of the mesh: the same at {2 * model.size:g} mm")
+    try:
+        coarse = follow(model.recipe.build(2 * model.size, like=model), settings, partial=False)
+        result.add_work(coarse)
+        result.judge([coarse])
+    except InputError:  # too coarse to be built: the result stands without an estimate
+        pass
+    except KeyboardInterrupt:
+        result.reason = ESTIMATING
 
 
 def _worth_refining(levels: list[Result], accuracy: float | None) -> bool:
@@ -172,7 +172,7 @@ def _worth_refining(levels: list[Result], accuracy: float | None) -> bool:
     return len(levels) == 1 if error is None else error > accuracy
 
 
-def _say_whether_accurate(result: Result, accuracy: float | None) -> None:
+def _check_accuracy(result: Result, accuracy: float | None) -> None:
     """Give the reason where an accuracy that was asked for is not reached."""
     if accuracy is None or result.reason:
         return
@@ -182,128 +182,133 @@ def _say_whether_accurate(result: Result, accuracy: float | None) -> None:
     elif error > accuracy:
         result.reason = (
             f"accuracy of {accuracy:g} degrees not reached: estimated {error:.2g} at a size of "
-            f"{result.scene.size:g} mm"
+            f"{result.model.size:g} mm"
         )
 
 
 @dataclass(frozen=True)
 class _Motion:
-    """Motion of a sheet over the last increment of its path, (n_dofs,) mm."""
+    """Motion of all unknowns over the last increment of a path, (n_dofs,) mm."""
 
-    scene: Scene
+    model: Model
     dx: FloatArray
 
 
 def _last_increment(path: Result) -> _Motion:
     end = path.states[-1]
     rows = [s for s in path.states if s.travel <= end.travel - CARRIED * (1 - 1e-9)]
-    return _Motion(path.scene, end.x - (rows[-1] if rows else path.states[0]).x)
+    return _Motion(path.model, end.x - (rows[-1] if rows else path.states[0]).x)
 
 
 def _carry(
     coarse: Result,
-    scene: Scene,
+    model: Model,
     last: _Motion,
     path: Result,
     callback: Callback | None,
     settings: Settings,
 ) -> tuple[Result, Result, _Motion]:
-    """Solve the end of a scene from that of a coarser one; the path too where that fails.
+    """Solve the end of a model from that of a coarser one; the path too where that fails.
 
     Returns the result, the path behind it and its last increment.
     """
     clock = time.perf_counter()
-    equilibrium = Equilibrium(scene, settings.linear, settings.tolerance, max_iterations=MOST)
-    equilibrium.travel = coarse.states[-1].travel
-    run = Run(equilibrium, settings)
-    start = _start(scene, path)
+    equations = Equilibrium(model, settings.linear, settings.tolerance, max_iterations=MOST)
+    equations.travel = coarse.states[-1].travel
+    run = Run(equations, settings)
+    start = _start(model, path)
     try:
-        x, before = transferred(coarse, scene, last)
+        x, before = transferred(coarse, model, last)
+        run.memory = carried(coarse, model, last, x, before)
+        equations.take(run.memory)
         x = run.settle(x)
-        if scene.lost(x):
-            raise NotConvergedError(scene.lost(x), x, np.inf)
+        if model.lost(x):
+            raise NotConvergedError(model.lost(x), x, np.inf)
     except NotConvergedError:
-        tell(callback, f"its end was not found: the path on a mesh of {scene.size:g} mm")
-        result = follow(scene, settings, callback)
+        report(callback, f"its end was not found: the path on a mesh of {model.size:g} mm")
+        result = follow(model, settings, callback)
         result.rescues["path followed on the finer mesh"] = 1
-        _add_work(result, coarse, equilibrium.linear_solves)
+        _add_work(result, coarse, equations.tangent.factorisations)
         return result, result, _last_increment(result)
-    run.open(x, equilibrium.travel)
-    run.collapse = path.collapse or scene.collapsed(x, equilibrium.travel)
-    run.states = [State(0.0, start, 0.0, 0, {n: m(start) for n, m in scene.measures.items()})]
+    run.open(x, equations.travel)
+    run.account.collapse = path.collapse or model.collapsed(x, equations.travel)
+    run.states = [State(0.0, start, 0.0, 0, {n: m(start) for n, m in model.measures.items()})]
     run.keep()
     result = run.result("", time.perf_counter() - clock)
     result.path, result.energy_balance = path, path.energy_balance
     result.stabilisation, result.snaps = path.stabilisation, path.snaps
     result.increments = path.increments + 1
     _add_work(result, coarse, 0)
-    return result, path, _Motion(scene, x - before)
+    return result, path, _Motion(model, x - before)
 
 
 def _add_work(result: Result, coarse: Result, failed: int) -> None:
-    """Add the linear solves of the coarser levels, by their time, and their rescues."""
-    ratio = coarse.solve_s / result.solve_s if result.solve_s else 1.0
-    result.linear_solves += failed + coarse.linear_solves * ratio
-    result.states[-1] = replace(result.states[-1], linear_solves=result.linear_solves)
+    """Add the factorisations of a coarser level and of a failed try, and the rescues."""
+    result.add_work(coarse, failed)
     result.rescues = {
         rung: result.rescues.get(rung, 0) + coarse.rescues.get(rung, 0)
         for rung in [*coarse.rescues, *result.rescues]
     }
 
 
-def transferred(coarse: Result, scene: Scene, last: _Motion) -> tuple[FloatArray, FloatArray]:
-    """Carry the end of a result to another mesh of the same scene.
+def transferred(coarse: Result, model: Model, last: _Motion) -> tuple[FloatArray, FloatArray]:
+    """Bring the end of a result to another mesh of the same model.
 
     Parameters
     ----------
     coarse : Result
-    scene : Scene
-        Its friction takes over from that of the result.
+    model : Model
     last : _Motion
         Over the last increment.
 
     Returns
     -------
     x, before : (n_dofs,) arrays, mm
-        Positions at the end, and one increment earlier.
+        Unknowns at the end, and one increment earlier.
     """
-    old, end = coarse.scene, coarse.states[-1]
-    X, Y, n = old.blank.nodes, scene.blank.nodes, old.n_nodal
-    moved = old.positions(end.x) - old.positions(old.x0)
-    increment = old.positions(last.dx)
-    fields = np.column_stack([moved, increment])
-    values = CloughTocher2DInterpolator(X, fields)(Y)
-    outside = np.isnan(values).any(1)  # a finer outline bulges beyond the coarser polygon
-    if outside.any():
-        values[outside] = RBFInterpolator(X, fields, neighbors=20, degree=1)(Y[outside])
-    x, dx = scene.x0.copy(), np.zeros_like(scene.x0)
-    x[: scene.n_nodal] += values[:, : scene.dim].ravel()
-    dx[: scene.n_nodal] = values[:, scene.dim :].ravel()
-    x[scene.n_nodal :], dx[scene.n_nodal :] = end.x[n:], last.dx[n:]
-    x = np.where(scene.fixed, scene.prescribed(end.travel)[0], x)
-    dx[: scene.n_nodal][scene.fixed[: scene.n_nodal]] = 0.0
-    known = {term.name: term for term in old.frictions}
-    for term in scene.frictions:
-        pressure = np.zeros(len(term.limit))
-        if term.name in known:
-            rubbing = known[term.name]
-            flat, per_area = _flat(rubbing.contact, old), rubbing.limit / rubbing.contact.area
-            there = _flat(term.contact, scene)
-            pressure = LinearNDInterpolator(flat, per_area)(there)
-            outside = np.isnan(pressure)
-            pressure[outside] = NearestNDInterpolator(flat, per_area)(there[outside])
-        term.adopt(x, x - dx, pressure > 0, pressure * term.contact.area)
+    old, end = coarse.model, coarse.states[-1]
+    x, dx = model.x0.copy(), np.zeros_like(model.x0)
+    for field in model.unknowns.fields:
+        theirs = old.unknowns[field.name]
+        if field.places is None:
+            x[field.dofs], dx[field.dofs] = theirs.of(end.x), theirs.of(last.dx)
+            continue
+        both = np.hstack([theirs.of(end.x) - theirs.of(old.x0), theirs.of(last.dx)])
+        moved, increment = np.hsplit(smoothly(theirs.places, both, field.places), 2)
+        x[field.dofs] += moved
+        dx[field.dofs] = np.where(model.fixed[field.dofs], 0.0, increment)
+    x = np.where(model.fixed, model.prescribed(end.travel)[0], x)
     return x, x - dx
 
 
-def _flat(contact: Contact, scene: Scene) -> FloatArray:
-    """(m, 2) places of the contact points on the flat sheet, mm."""
-    points = contact.points
-    return (points.weights[:, :, :2] * scene.blank.nodes[points.nodes]).sum(1)
+def carried(
+    coarse: Result, model: Model, last: _Motion, x: FloatArray, before: FloatArray
+) -> Memory:
+    """Bring the states of the terms to another mesh, each term by its own rule.
+
+    Parameters
+    ----------
+    coarse, model, last
+        As in `transferred`.
+    x, before : (n_dofs,) arrays, mm
+        What that returned.
+    """
+    old, end = coarse.model, coarse.states[-1]
+    known = {t.name: (t, s) for t, s in zip(old.terms, coarse.memory, strict=True)}
+    states = []
+    for term in model.terms:
+        theirs, state = known.get(term.name, (None, None))
+        was = None
+        if theirs is not None:
+            was = Standing(theirs, old.unknowns, state, end.x, end.x - last.dx)
+        states.append(term.carried(state, was, Standing(term, model.unknowns, None, x, before)))
+    return tuple(states)
 
 
-def _start(scene: Scene, path: Result) -> FloatArray:
+def _start(model: Model, path: Result) -> FloatArray:
     """(n_dofs,) start of the travel, with the resting tools where the path had them."""
-    x = scene.x0.copy()
-    x[scene.n_nodal :] = path.states[0].x[path.scene.n_nodal :]
+    x = model.x0.copy()
+    for field in model.unknowns.fields:
+        if field.places is None:
+            x[field.dofs] = path.model.unknowns[field.name].of(path.states[0].x)
     return x

@@ -2,9 +2,6 @@
 
 - "pardiso": MKL PARDISO (extra `fast`), LDL' with inertia; found by itself at run time.
 - "superlu": scipy's SuperLU on a nested-dissection order of the nodes, with inertia.
-- "amg": conjugate gradients preconditioned by PyAMG smoothed aggregation with the rigid motions;
-  convex matrices only, no inertia. Direct solvers win by far at the sizes measured, so it is
-  chosen by name only.
 """
 
 from __future__ import annotations
@@ -12,13 +9,13 @@ from __future__ import annotations
 from typing import Protocol
 
 import numpy as np
-from scipy.sparse import coo_array, csc_array, csr_array
-from scipy.sparse.linalg import cg, splu
+from scipy.sparse import csc_array, csr_array
+from scipy.sparse.linalg import splu
 
 from ..checks import InputError, suggestion
 
 FloatArray = np.ndarray
-NAMES = ("auto", "pardiso", "superlu", "amg")
+NAMES = ("auto", "pardiso", "superlu")
 
 
 class SingularMatrixError(ArithmeticError):
@@ -29,7 +26,7 @@ class LinearSolver(Protocol):
     """Factorise once, solve for several right-hand sides."""
 
     name: str
-    inertia: bool
+    inertia: bool  # whether the number of negative pivots is known
 
     def factor(self, values: FloatArray) -> int:
         """Factorise; return the number of negative pivots (0 where `inertia` is False)."""
@@ -40,9 +37,7 @@ class LinearSolver(Protocol):
         ...
 
 
-def linear_solver(
-    name: str, pattern: csr_array, points: FloatArray, rigid: FloatArray
-) -> LinearSolver:
+def linear_solver(name: str, pattern: csr_array, points: FloatArray) -> LinearSolver:
     """Return the linear solver of that name for a fixed upper-triangular pattern.
 
     Parameters
@@ -52,9 +47,7 @@ def linear_solver(
     pattern : (n, n) csr_array
         Upper triangle.
     points : (n, 2) array
-        Flat position of each degree of freedom; nan for rigid ones (they are eliminated last).
-    rigid : (n, m) array
-        Rigid motions, the near-nullspace for "amg".
+        Flat place of each unknown, mm; nan without one (these are eliminated last).
 
     Raises
     ------
@@ -71,7 +64,7 @@ def linear_solver(
                 raise InputError(
                     "linear solver 'pardiso' is not installed: pip install 'quasiform[fast]'"
                 ) from error
-    return AlgebraicMultigrid(pattern, rigid) if name == "amg" else SuperLU(pattern, points)
+    return SuperLU(pattern, points)
 
 
 class Pardiso:
@@ -148,34 +141,6 @@ class SuperLU:
     def solve(self, b: FloatArray) -> FloatArray:
         x = np.empty_like(b)
         x[self._order] = self._factor.solve(b[self._order])
-        return x
-
-
-class AlgebraicMultigrid:
-    """Conjugate gradients with smoothed aggregation (PyAMG)."""
-
-    name = "amg"
-    inertia = False
-
-    def __init__(self, pattern: csr_array, rigid: FloatArray) -> None:
-        self._pattern, self._rigid = pattern, rigid
-        self._matrix = self._preconditioner = None
-
-    def factor(self, values: FloatArray) -> int:
-        import pyamg  # seldom needed, and slow to import
-
-        p = self._pattern
-        upper = csr_array((values, p.indices, p.indptr), shape=p.shape)
-        diagonal = coo_array((upper.diagonal(), (np.arange(p.shape[0]),) * 2), shape=p.shape)
-        self._matrix = (upper + upper.T - diagonal).tocsr()
-        hierarchy = pyamg.smoothed_aggregation_solver(self._matrix, B=self._rigid)
-        self._preconditioner = hierarchy.aspreconditioner()
-        return 0
-
-    def solve(self, b: FloatArray) -> FloatArray:
-        x, failed = cg(self._matrix, b, rtol=1e-8, maxiter=5000, M=self._preconditioner)
-        if failed:
-            raise SingularMatrixError("conjugate gradients did not converge in 5000 iterations")
         return x
 
 

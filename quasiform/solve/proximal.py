@@ -16,7 +16,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from .newton import Equilibrium, NotConvergedError
+from ..energy.term import Term
+from .equilibrium import Equilibrium, NotConvergedError
+from .newton import minimise
 
 FloatArray = np.ndarray
 FIRST, LEAST, MOST = 1e-2, 1e-6, 10.0  # m, N/mm³; the stick of friction is 0.1
@@ -25,8 +27,8 @@ ITERATIONS = 40  # of Newton's method in one step
 ENOUGH = 1e-2  # forces of the bed, relative to the driving force
 
 
-class Bed:
-    """The quadratic term m/2 Σ w (x - anchor)² over all degrees of freedom.
+class Bed(Term):
+    """The quadratic term m/2 Σ w (x - anchor)² over all unknowns.
 
     Parameters
     ----------
@@ -39,15 +41,15 @@ class Bed:
         self.dofs = np.arange(len(weights))[:, None]
         self.weights, self.m, self.anchor = weights, 0.0, np.zeros_like(weights)
 
-    def energy(self, x: FloatArray) -> FloatArray:
-        """Energy of each degree of freedom, mJ."""
+    def energy(self, x: FloatArray, state: None = None) -> FloatArray:
+        """Energy of each unknown, mJ."""
         return 0.5 * self.m * self.weights * (x - self.anchor) ** 2
 
-    def gradient(self, x: FloatArray) -> FloatArray:
+    def gradient(self, x: FloatArray, state: None = None) -> FloatArray:
         """(n_dofs, 1) forces, N."""
         return (self.m * self.weights * (x - self.anchor))[:, None]
 
-    def hessian(self, x: FloatArray, convex: bool) -> FloatArray:
+    def hessian(self, x: FloatArray, state: None, convex: bool) -> FloatArray:
         """(n_dofs, 1, 1) stiffness, N/mm."""
         return (self.m * self.weights)[:, None, None]
 
@@ -66,16 +68,13 @@ def creep(equilibrium: Equilibrium, x: FloatArray) -> tuple[FloatArray, float]:
     NotConvergedError
         Where the bed does not fade within `STEPS` steps, or no m is large enough.
     """
-    scene = equilibrium.scene
-    weights = np.full(len(x), scene.blank.areas.sum())
-    weights[: scene.n_nodal] = np.repeat(scene.blank.node_areas, scene.dim)
-    bed = Bed(weights)
+    bed = Bed(equilibrium.model.unknowns.areas())
     bed.m, work, force = FIRST, 0.0, np.inf
     with equilibrium.with_term(bed):
         for _ in range(STEPS):
             bed.anchor = x
             try:
-                x = equilibrium.minimise(x, ITERATIONS, ENOUGH)
+                x = minimise(equilibrium, x, ENOUGH, ITERATIONS)
             except NotConvergedError:
                 if bed.m >= MOST:
                     raise
@@ -83,9 +82,8 @@ def creep(equilibrium: Equilibrium, x: FloatArray) -> tuple[FloatArray, float]:
                 continue
             push = bed.gradient(x)[:, 0]
             work += float(push @ (x - bed.anchor))
-            force = equilibrium.residual(push, driven=equilibrium.potential.gradient(x))
-            for term in scene.remembering:
-                term.refresh(x)
+            force = equilibrium.residual(push, driven=equilibrium.gradient(x))
+            equilibrium.refresh(x)
             if force < ENOUGH and bed.m <= 1e-2 * FIRST:
                 return x, work
             bed.m = max(bed.m / 3.0, LEAST)

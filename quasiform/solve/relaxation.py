@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse import csr_array
 
-from .newton import Equilibrium, NotConvergedError
+from .equilibrium import Equilibrium, NotConvergedError
 
 FloatArray = np.ndarray
 RAMP = 400  # iterations
@@ -53,9 +53,8 @@ def relax(
     ------
     NotConvergedError
     """
-    scene, potential = equilibrium.scene, equilibrium.potential
     tolerance = tolerance or equilibrium.goal
-    free = ~scene.fixed
+    free, nodes = equilibrium.free, equilibrium.model.unknowns.at_nodes()
     v = np.zeros_like(x)
     kinetic_before = damped = 0.0
     ramp = RAMP if motion.any() else 0
@@ -65,12 +64,11 @@ def relax(
             x = x + motion / ramp
         if iteration % (refresh_every if iteration >= ramp else RAMP // 20) == 0:
             mass = _masses(equilibrium, x)
-            for term in scene.remembering:
-                term.refresh(x)
-        g = potential.gradient(x)
+            equilibrium.refresh(x)
+        g = equilibrium.gradient(x)
         residual = equilibrium.residual(g)
         # a residual counts with refreshed friction only
-        settled = not scene.remembering or iteration % refresh_every == 0
+        settled = not equilibrium.remembers or iteration % refresh_every == 0
         if residual < tolerance and settled and iteration >= ramp:
             return x, damped
         a = np.where(free, -g / mass, 0.0)
@@ -84,7 +82,7 @@ def relax(
             continue
         v, kinetic_before = v_next, kinetic
         x = x + v
-        if not np.abs(v[: scene.n_nodal]).max() < scene.blank.size:
+        if not np.abs(v[nodes]).max() < equilibrium.mesh_size:
             raise NotConvergedError("dynamic relaxation diverged", x, np.inf)
     raise NotConvergedError(
         f"dynamic relaxation: residual {residual:.1e} after {max_iterations} iterations, "
@@ -96,14 +94,14 @@ def relax(
 
 def _masses(equilibrium: Equilibrium, x: FloatArray) -> FloatArray:
     """(n_dofs,) masses that keep unit time steps stable: Σ_j |K_ij| / 2."""
-    scene, potential = equilibrium.scene, equilibrium.potential
-    values, _ = potential.hessian(x, convex=True)
+    model, potential = equilibrium.model, equilibrium.potential
+    values, _ = potential.hessian(x, equilibrium.memory, convex=True)
     upper = csr_array((np.abs(values), potential.pattern.indices, potential.pattern.indptr))
     upper.resize(potential.pattern.shape)
     rows = np.asarray(upper.sum(1)) + np.asarray(upper.sum(0)) - upper.diagonal()
     sums = np.ones_like(x)
-    sums[~scene.fixed] = rows
-    for contact in scene.contacts:
+    sums[equilibrium.free] = rows
+    for contact in model.contacts:
         stiffness = contact.stiffness_bound(x)
         sums += np.bincount(contact.dofs.ravel(), stiffness.ravel(), minlength=len(x))
     return 0.5 * sums

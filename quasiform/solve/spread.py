@@ -1,4 +1,4 @@
-"""What is robust about a state: the same scene solved again with noise on every increment.
+"""What is robust about a state: the same model solved again with noise on every increment.
 
 A sheet that wrinkles, bands or snaps has many states of equilibrium, and which one is found hangs
 on what no model knows. Quantities that scatter within the estimated error of the mesh are robust;
@@ -11,7 +11,8 @@ from collections.abc import Sequence
 
 from ..checks import check_number
 from ..result.run import Result
-from .increments import Settings, follow
+from .increments import follow
+from .run import Settings
 
 AMPLITUDE = 0.01  # mm
 
@@ -19,7 +20,7 @@ AMPLITUDE = 0.01  # mm
 def spread(
     result: Result, seeds: Sequence[int] = (1, 2, 3), amplitude: float = AMPLITUDE
 ) -> dict[str, dict[str, float | bool]]:
-    """Solve a scene again from perturbed starts, and keep the scatter in the result.
+    """Solve a model again from perturbed starts, and keep the scatter in the result.
 
     Where only the end was solved on the finest mesh, the path on the coarser one is repeated.
 
@@ -49,7 +50,7 @@ def spread(
     known = {"increment", "method", "linear", "tolerance", "convex"}
     given = {name: value for name, value in base.settings.items() if name in known}
     runs = [base] + [
-        follow(base.scene, Settings(**given, perturbation=amplitude, seed=seed), partial=False)
+        follow(base.model, Settings(**given, perturbation=amplitude, seed=seed), partial=False)
         for seed in seeds
     ]
     ended = [run for run in runs if run.states[-1].travel == base.states[-1].travel]

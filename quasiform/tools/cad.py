@@ -1,6 +1,6 @@
-"""Triangles of a CAD file by gmsh: a program of its own, `python cad_mesh.py FILE KIND OUT`.
+"""Triangles of a CAD file by gmsh: a program of its own, `python cad.py FILE KIND OUT`.
 
-OpenCASCADE and gmsh can crash or go on for ever on a damaged file; here this ends nothing else.
+OpenCASCADE and gmsh can crash or never end on a damaged file; the calling program is not affected.
 OUT gets the node tags (n,), their places (n, 3) and the tags of the triangles' corners (m, 3) as
 arrays of a .npz file.
 """
@@ -15,17 +15,14 @@ SEWN = 1e-3  # mm; gaps between the faces of an IGES file
 
 
 def mesh(path: str, kind: str, out: str) -> None:
-    """Mesh the faces of a shape, finer where they are curved; gmsh raises what it likes."""
+    """Mesh the faces of a shape, finer where they are curved; gmsh may raise any exception."""
     gmsh.initialize(readConfigFiles=False, interruptible=False)
     gmsh.option.setNumber("General.Terminal", 0)
     if kind == "step":  # the others are in mm anyway; gmsh refuses the option as long as it has
         gmsh.option.setString("Geometry.OCCTargetUnit", "MM")  # not read or written a step file
-    if kind == "geo":
-        gmsh.merge(path)
-    else:
-        gmsh.model.occ.importShapes(path, format=kind)
-        if kind == "iges":  # its faces do not know their neighbours
-            gmsh.model.occ.healShapes(tolerance=SEWN)
+    gmsh.model.occ.importShapes(path, format=kind)
+    if kind == "iges":  # its faces do not know their neighbours
+        gmsh.model.occ.healShapes(tolerance=SEWN)
     gmsh.model.occ.synchronize()
     box = np.reshape(gmsh.model.getBoundingBox(-1, -1), (2, 3))
     size = float(np.linalg.norm(box[1] - box[0]))

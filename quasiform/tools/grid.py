@@ -22,26 +22,16 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from scipy.ndimage import spline_filter, zoom
-from scipy.spatial.transform import Rotation
 
-from ..checks import InputError, check_number
+from ..checks import InputError, check_number, naming, optional
+from .mending import check_numbers, edges_of, holes_of, normals_of, position
 from .shapes import Distance
-from .surface_file import (
-    check_numbers,
-    edges_of,
-    holes_of,
-    loops_of,
-    naming,
-    normals_of,
-    optional,
-    position,
-    read_repaired,
-)
+from .surface_file import SurfaceFile
 
 FloatArray = np.ndarray
 
@@ -78,15 +68,12 @@ class SurfaceGrid:
         h, mm.
     coefficients : (nx, ny, nz) array
         Of the B-spline; the first belongs to low - PAD h.
-    deviation : float
-        Largest |d| at the centres of the surface's triangles, mm.
     """
 
     low: FloatArray
     high: FloatArray
     spacing: float
     coefficients: FloatArray = field(repr=False)
-    deviation: float = 0.0
 
     @property
     def box(self) -> FloatArray:
@@ -135,142 +122,128 @@ class SurfaceGrid:
 
 
 def from_file(
-    path: str | Path,
-    low: FloatArray,
-    high: FloatArray,
-    spacing: float | None = None,
-    *,
-    scale: float = 1.0,
-    flip: bool = False,
-    rotate: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    reach: float | None = None,
+    path: str | Path, low: FloatArray, high: FloatArray, spacing: float | None = None, **how: Any
 ) -> SurfaceGrid:
-    """Return the smooth signed distance of a tool in a file: `placed`, then `surface_grid`.
+    """Smooth signed distance of a surface in a file, placed as that of `SurfaceFile(path, **how)`.
 
     Raises
     ------
     InputError
-        As these, naming the file.
+        As `SurfaceFile.placed` and `surface_grid`, naming the file.
     """
-    vertices, triangles, _ = placed_and_told(path, scale, flip, rotate, origin)
+    file = SurfaceFile(Path(path), **how)
+    vertices, triangles, _ = file.placed()
     with naming(path):
-        return surface_grid(vertices, triangles, low, high, spacing, reach, scale, flip)
+        return surface_grid(
+            vertices, triangles, low, high, spacing, scale=file.scale, flip=file.flip
+        )
 
 
-def placed_and_told(
-    path: str | Path,
-    scale: float = 1.0,
-    flip: bool = False,
-    rotate: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
-) -> tuple[FloatArray, np.ndarray, list[str]]:
-    """Read a surface, mend it and put it in the tool's frame.
-
-    A point p of the file comes to R (scale p - origin), R turning about the fixed axes x, y, z.
-
-    Parameters
-    ----------
-    path : path
-    scale : float
-        mm per unit of the file.
-    flip : bool
-        Turns the normals round.
-    rotate : (3,) floats
-        Degrees about the fixed axes x, y, z, in this order.
-    origin : (3,) floats
-        Point of the file, mm (after scaling, before rotating), that becomes the tool's origin.
-
-    Returns
-    -------
-    vertices, triangles, repairs
-        As `read_repaired`.
-    """
-    vertices, triangles, repairs = read_repaired(path, scale)
-    vertices = Rotation.from_euler("xyz", rotate, degrees=True).apply(vertices - origin)
-    return vertices, triangles[:, ::-1] if flip else triangles, repairs
-
-
-def moved_origin(
-    rotate: tuple[float, float, float], origin: tuple[float, float, float], dx: float, dy: float
-) -> str:
-    """The `origin` that moves a placed surface by -dx and -dy (mm), as a line of a scene file."""
-    turned_back = Rotation.from_euler("xyz", rotate, degrees=True).inv().apply([dx, dy, 0.0])
-    return "origin = [{:.4g}, {:.4g}, {:.4g}]".format(
-        *(np.round(np.add(origin, turned_back), 6) + 0.0)
-    )
-
-
-def doubts(
+def surface_grid(
     vertices: FloatArray,
     triangles: np.ndarray,
-    role: str,
-    rotate: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    low: FloatArray,
+    high: FloatArray,
+    spacing: float | None = None,
+    reach: float | None = None,
+    scale: float = 1.0,
     flip: bool = False,
-) -> list[str]:
-    """What makes an open surface look upside down or inside out, and the line that mends it.
+) -> SurfaceGrid:
+    """Return the smooth signed distance of a surface, checked.
 
     Parameters
     ----------
     vertices, triangles : (n, 3) and (m, 3) array
         In the tool's frame, mm.
-    role : "punch", "holder" or "die"
-        The first two face down, to the sheet, the die up.
-    rotate, flip
-        As applied already.
-    """
-    edges, count, _ = edges_of(triangles)
-    loops = loops_of(vertices, edges[count == 1])
-    if not loops:
-        return []
-    # turned by another 180 degrees about x, which reverses the turns about y and z
-    over = np.array([180.0 - (-rotate[0] % 360), -rotate[1], -rotate[2]]) + 0.0
-    upside_down = "rotate = [{:g}, {:g}, {:g}]".format(*over)
-    turn_inside_out = f"flip = {str(not flip).lower()}"
-    z = vertices[:, 2] - vertices[:, 2].min()
-    height = z.max()
-    if role == "punch" and height > 1e-3 * np.ptp(vertices) and z[loops[0]].mean() < 0.1 * height:
-        return [f"the surface is open towards the sheet: upside down? {upside_down}"]
-    up = normals_of(vertices[triangles])[:, 2].sum()
-    if up * (1 if role == "die" else -1) < 0:
-        return [
-            f"its normals point away from the sheet: inside out? {turn_inside_out}; or upside "
-            f"down? {upside_down}"
-        ]
-    return []
-
-
-def check_size(size: float, reach: float, scale: float = 1.0) -> None:
-    """Refuse a tool of a size that only a wrong unit explains.
-
-    Parameters
-    ----------
-    size, reach : float
-        Of the tool and of the blank, mm.
-    scale : float
-        mm per unit of the file, as applied already.
+    low, high : (3,) array
+        Box in which the sheet can be, mm. The grid covers it as far as the tool's surroundings.
+    spacing : float, optional
+        Of the grid, mm, by default 2: at most 0.4 of the smallest radius that matters.
+    reach, scale, flip
+        As for `check_surface`; the reach is that of the box by default.
 
     Raises
     ------
     InputError
-        Naming the units that would explain it.
+        As `check_surface`; when the tool is nowhere near the box; when the grid is too large, or
+        too coarse for the tool.
     """
-    if not reach / 50 <= size <= reach * 50:
+    h = check_number("spacing", SPACING if spacing is None else spacing)
+    reach = float(np.ptp([low, high], axis=0).max()) if reach is None else reach
+    check_surface(vertices, triangles, low, high, reach, scale, flip)
+    margin = max(10.0, MARGIN * h)
+    low = np.maximum(low, vertices.min(0) - margin)
+    high = np.minimum(high, vertices.max(0) + margin)
+    if (low >= high).any():
+        box = " to ".join(f"{position(end)} mm" for end in (vertices.min(0), vertices.max(0)))
         raise InputError(
-            f"the tool is {size:.3g} mm across (scale = {scale:g}) beside a sheet of "
-            f"{reach:.3g} mm: {likely_unit(size / scale, reach)}"
+            f"the tool is nowhere near the sheet, it spans {box}: check origin, rotate and scale"
+        )
+    cells = np.ceil(((high - low) / h + 2 * PAD) / 9).astype(int)
+    if (nodes := np.prod(9.0 * cells + 1.0)) > MOST_NODES:
+        at_least = h * (nodes / MOST_NODES) ** (1 / 3)
+        raise InputError(f"grid of {nodes:.1e} nodes: set spacing = {at_least:.2g} or more")
+    grid = SurfaceGrid(low, high, h, _coefficients(vertices, triangles, low - PAD * h, h, cells))
+    _check_shown(grid, vertices, triangles)
+    return grid
+
+
+def _coefficients(
+    vertices: FloatArray, triangles: np.ndarray, first: FloatArray, h: float, cells: np.ndarray
+) -> FloatArray:
+    """Coefficients of the spline on a grid of 9 `cells` from `first` on, from coarse to fine."""
+    from scipy.ndimage import spline_filter, zoom
+
+    edges, count, _ = edges_of(triangles)
+    surface = (vertices, triangles, edges[count == 1])
+    for step in (9, 3, 1):
+        shape = cells * 9 // step + 1
+        if step == 9:
+            d, near = np.zeros(shape), np.arange(np.prod(shape))
+        else:
+            d = zoom(d, shape / d.shape, mode="nearest")
+            near = np.flatnonzero(np.abs(d) < BAND * step * h)
+        for part in np.array_split(near, len(near) // 500_000 + 1):
+            nodes = np.stack(np.unravel_index(part, shape), -1) * (step * h) + first
+            d.flat[part] = _signed_distance(nodes, *surface)
+    return spline_filter(d, mode="mirror")
+
+
+def _check_shown(grid: SurfaceGrid, vertices: FloatArray, triangles: np.ndarray) -> None:
+    """Refuse a grid whose n does not point along the normals of nearly all triangles in it."""
+    corners = vertices[triangles]
+    centres, normals = corners.mean(1), normals_of(corners)
+    covered = ((centres > grid.low) & (centres < grid.high)).all(1)
+    centres, normals = centres[covered], normals[covered]
+    _, n, _ = grid.distance(centres)
+    area = np.linalg.norm(normals, axis=1)
+    lost = np.where(np.einsum("pi,pi->p", n, normals) < LOST * area, area, 0.0)
+    if lost.sum() > 0.01 * area.sum():
+        raise InputError(
+            f"walls, gaps or bodies in each other that a grid of {grid.spacing:g} mm cannot show, "
+            f"for one at {position(centres[lost.argmax()])} mm: set a smaller spacing"
         )
 
 
-def likely_unit(size: float, reach: float) -> str:
-    """Which scale brings a tool of `size` units nearest to `reach` (mm), in words."""
-    known = {unit: mm for unit, mm in UNITS.items() if reach / 12 < mm * size < 2 * reach}
-    near = sorted(known, key=lambda unit: abs(np.log(known[unit] * size / reach)))
-    if not near:
-        return "check scale, the mm per unit of the file"
-    return "is the file in " + ", or in ".join(
-        f"{unit}? set scale = {known[unit]:g} ({known[unit] * size:.3g} mm)" for unit in near[:2]
+def _signed_distance(
+    points: FloatArray, vertices: FloatArray, triangles: np.ndarray, rim: np.ndarray
+) -> FloatArray:
+    """Exact signed distance (m,) of points (m, 3) to the triangles; rim: (k, 2) edges."""
+    igl = optional("igl", "surface", "a tool from a file needs libigl")
+    if len(rim) == 0:
+        # the sign alone: libigl scales the distance by 1 - 2 |winding number|
+        side, _, foot, _ = igl.signed_distance(
+            points, vertices, triangles, igl.SIGNED_DISTANCE_TYPE_FAST_WINDING_NUMBER
+        )
+        return np.copysign(np.linalg.norm(points - foot, axis=1), side)
+    d, _, foot, normal = igl.signed_distance(
+        points, vertices, triangles, igl.SIGNED_DISTANCE_TYPE_PSEUDONORMAL
     )
+    to_rim = np.sqrt(igl.point_mesh_squared_distance(foot, vertices, rim)[0])
+    behind = np.minimum(np.einsum("pi,pi->p", points - foot, normal), 0.0)
+    from_wall = np.sqrt(np.maximum(d**2 - behind**2, 0.0))
+    on_rim = to_rim < AT_RIM * np.ptp(vertices)
+    return np.where(on_rim, from_wall, np.where(d < 0, -np.minimum(-d, to_rim), d))
 
 
 def check_surface(
@@ -318,114 +291,32 @@ def check_surface(
         if low is None or high is None or ((along > low) & (along < high)).all(-1).any():
             raise InputError(
                 f"a hole of {len(loop)} edges, {np.ptp(start, axis=0).max():.3g} mm across, around "
-                f"{position(start.mean(0))}: close it ({REMEDY})"
+                f"{position(start.mean(0))} mm: close it ({REMEDY})"
             )
 
 
-def surface_grid(
-    vertices: FloatArray,
-    triangles: np.ndarray,
-    low: FloatArray,
-    high: FloatArray,
-    spacing: float | None = None,
-    reach: float | None = None,
-    scale: float = 1.0,
-    flip: bool = False,
-) -> SurfaceGrid:
-    """Return the smooth signed distance of a surface, checked.
-
-    Parameters
-    ----------
-    vertices, triangles : (n, 3) and (m, 3) array
-        In the tool's frame, mm.
-    low, high : (3,) array
-        Box in which the sheet can be, mm. The grid covers it as far as the tool's surroundings.
-    spacing : float, optional
-        Of the grid, mm, by default 2: at most 0.4 of the smallest radius that matters.
-    reach : float, optional
-        Size of the blank, mm, by default that of the box, for the check of units.
-    scale, flip : float, bool
-        As applied already, for the messages.
-
-    Raises
-    ------
-    InputError
-        As `check_surface`; when the tool is nowhere near the box; when the grid is too large, or
-        too coarse for the tool.
-    """
-    h = check_number("spacing", SPACING if spacing is None else spacing)
-    reach = float(np.ptp([low, high], axis=0).max()) if reach is None else reach
-    check_surface(vertices, triangles, low, high, reach, scale, flip)
-    margin = max(10.0, MARGIN * h)
-    low = np.maximum(low, vertices.min(0) - margin)
-    high = np.minimum(high, vertices.max(0) + margin)
-    if (low >= high).any():
-        box = " to ".join(position(end) for end in (vertices.min(0), vertices.max(0)))
+def check_size(size: float, reach: float, scale: float = 1.0) -> None:
+    """Refuse a tool of a size (mm) that only a wrong unit explains, beside a blank of `reach`."""
+    if not reach / 50 <= size <= reach * 50:
+        unit = likely_unit(size / scale, reach)
         raise InputError(
-            f"the tool is nowhere near the sheet, it spans {box}: check origin, rotate and scale"
+            f"the tool is {size:.3g} mm across (scale = {scale:g}) beside a sheet of {reach:.3g} "
+            f"mm: {unit}"
         )
-    cells = np.ceil(((high - low) / h + 2 * PAD) / 9).astype(int)
-    if (nodes := np.prod(9.0 * cells + 1.0)) > MOST_NODES:
-        at_least = h * (nodes / MOST_NODES) ** (1 / 3)
-        raise InputError(f"grid of {nodes:.1e} nodes: set spacing = {at_least:.2g} or more")
-    first = low - PAD * h
-    edges, count, _ = edges_of(triangles)
-    surface = (vertices, triangles, edges[count == 1])
-    for step in (9, 3, 1):
-        shape = cells * 9 // step + 1
-        if step == 9:
-            d, near = np.zeros(shape), np.arange(np.prod(shape))
-        else:
-            d = zoom(d, shape / d.shape, mode="nearest")
-            near = np.flatnonzero(np.abs(d) < BAND * step * h)
-        for part in np.array_split(near, len(near) // 500_000 + 1):
-            nodes = np.stack(np.unravel_index(part, shape), -1) * (step * h) + first
-            d.flat[part] = _signed_distance(nodes, *surface)
-    grid = SurfaceGrid(low, high, h, spline_filter(d, mode="mirror"))
-    return replace(grid, deviation=_deviation(grid, vertices, triangles))
 
 
-def _deviation(grid: SurfaceGrid, vertices: FloatArray, triangles: np.ndarray) -> float:
-    """Largest |d| at the triangles' centres; n must point along the normals of nearly all."""
-    corners = vertices[triangles]
-    centres, normals = corners.mean(1), normals_of(corners)
-    covered = ((centres > grid.low) & (centres < grid.high)).all(1)
-    if not covered.any():
-        return 0.0
-    centres, normals = centres[covered], normals[covered]
-    d, n, _ = grid.distance(centres)
-    area = np.linalg.norm(normals, axis=1)
-    lost = np.where(np.einsum("pi,pi->p", n, normals) < LOST * area, area, 0.0)
-    if lost.sum() > 0.01 * area.sum():
-        raise InputError(
-            f"walls, gaps or bodies in each other that a grid of {grid.spacing:g} mm cannot show, "
-            f"for one at {position(centres[lost.argmax()])}: set a smaller spacing"
-        )
-    return float(np.abs(d).max())
-
-
-def _signed_distance(
-    points: FloatArray, vertices: FloatArray, triangles: np.ndarray, rim: np.ndarray
-) -> FloatArray:
-    """Exact signed distance (m,) of points (m, 3) to the triangles; rim: (k, 2) edges."""
-    igl = optional("igl", "surface", "a tool from a file needs libigl")
-    if len(rim) == 0:
-        # the sign alone: libigl scales the distance by 1 - 2 |winding number|
-        side, _, foot, _ = igl.signed_distance(
-            points, vertices, triangles, igl.SIGNED_DISTANCE_TYPE_FAST_WINDING_NUMBER
-        )
-        return np.copysign(np.linalg.norm(points - foot, axis=1), side)
-    d, _, foot, normal = igl.signed_distance(
-        points, vertices, triangles, igl.SIGNED_DISTANCE_TYPE_PSEUDONORMAL
+def likely_unit(size: float, reach: float) -> str:
+    """Ask for the scale that brings a tool of `size` units nearest to `reach` (mm)."""
+    known = {unit: mm for unit, mm in UNITS.items() if reach / 12 < mm * size < 2 * reach}
+    near = sorted(known, key=lambda unit: abs(np.log(known[unit] * size / reach)))
+    if not near:
+        return "check scale, the mm per unit of the file"
+    return "is the file in " + ", or in ".join(
+        f"{unit}? set scale = {known[unit]:g} ({known[unit] * size:.3g} mm)" for unit in near[:2]
     )
-    to_rim = np.sqrt(igl.point_mesh_squared_distance(foot, vertices, rim)[0])
-    behind = np.minimum(np.einsum("pi,pi->p", points - foot, normal), 0.0)
-    from_wall = np.sqrt(np.maximum(d**2 - behind**2, 0.0))
-    on_rim = to_rim < AT_RIM * np.ptp(vertices)
-    return np.where(on_rim, from_wall, np.where(d < 0, -np.minimum(-d, to_rim), d))
 
 
 def _refuse(vertices: FloatArray, edges: np.ndarray, what: str) -> None:
     if n := len(edges):
         at = position(vertices[edges[0]].mean(0))
-        raise InputError(f"{n} edge{'s' * (n > 1)} {what}, one at {at}: {REMEDY}")
+        raise InputError(f"{n} edge{'s' * (n > 1)} {what}, one at {at} mm: {REMEDY}")

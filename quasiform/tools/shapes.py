@@ -18,7 +18,6 @@ from functools import cached_property
 from typing import Literal, Protocol
 
 import numpy as np
-from scipy.spatial import ConvexHull, HalfspaceIntersection
 
 from ..checks import InputError, check_number
 
@@ -30,8 +29,8 @@ FAR = 1e4  # mm; half the length of straight tools that have no end
 class Shape(Protocol):
     """A rigid surface in its own frame.
 
-    A shape may also have a `box` (2, 3), corners of its bounding box, which spares the distance of
-    points far away, and `sharpest`, its smallest radius of curvature (mm).
+    A shape may also have a `box` (2, 3), the corners of its bounding box, beyond which distances
+    are not evaluated, and `sharpest`, its smallest radius of curvature (mm).
     """
 
     def distance(self, points: FloatArray) -> Distance:
@@ -76,38 +75,20 @@ class Rounded:
         self._features  # noqa: B018  (a flat core is refused now, not when first used)
 
     @cached_property
-    def _features(self) -> _Features:
+    def _features(self) -> tuple[FloatArray, ...]:
+        """Corners (k, 3); edges by start, direction and length; faces by N, c, sides and at_side.
+
+        A point x lies above a triangle where N·x + c > 0 and its three sides·x ≥ at_side.
+        """
         core, none = self.core, np.zeros((0, 3))
-        if len(core) == 1:
-            return _Features(core, none, none, np.zeros(0), none, np.zeros(0), none, np.zeros(0))
+        edges, faces = core[None, :0], (none, np.zeros(0), none, np.zeros(0))
         if len(core) == 2:
-            edges, corners, n, c = core[None], core, none, np.zeros(0)
-            sides, at_side = none, np.zeros(0)
-        else:
-            if np.linalg.matrix_rank(core - core.mean(0), tol=1e-9 * np.ptp(core)) < 3:
-                raise InputError("the core of a rounded solid must be a point, a line or a solid")
-            hull = ConvexHull(core)
-            n, c = hull.equations[:, :3], hull.equations[:, 3]
-            corners = core[hull.vertices]
-            # an edge between coplanar triangles is none
-            pairs = {
-                tuple(sorted((a, b)))
-                for f, ring in enumerate(hull.simplices)
-                for a, b, across in zip(
-                    ring, np.roll(ring, -1), np.roll(hull.neighbors[f], 1), strict=True
-                )
-                if n[f] @ n[across] < 1 - 1e-9
-            }
-            edges = core[np.array(sorted(pairs))]
-            ring = core[hull.simplices]
-            along = np.roll(ring, -1, axis=1) - ring
-            turn = np.sign(np.einsum("fc,fc->f", np.cross(along[:, 0], along[:, 1]), n))
-            inward = turn[:, None, None] * np.cross(n[:, None], along)
-            sides = inward.reshape(-1, 3)
-            at_side = np.einsum("fkc,fkc->fk", inward, ring).ravel()
-        step = edges[:, 1] - edges[:, 0]
-        length = np.linalg.norm(step, axis=1)
-        return _Features(corners, edges[:, 0], step / length[:, None], length, n, c, sides, at_side)
+            edges = core[None]
+        elif len(core) > 2:
+            core, edges, *faces = _polyhedron(core)
+        start, end = edges.reshape(-1, 2, 3).transpose(1, 0, 2)
+        length = np.linalg.norm(end - start, axis=1)
+        return core, start, (end - start) / length[:, None], length, *faces
 
     @property
     def sharpest(self) -> float:
@@ -120,65 +101,64 @@ class Rounded:
         return np.stack([self.core.min(0) - self.radius, self.core.max(0) + self.radius])
 
     def distance(self, points: FloatArray) -> Distance:
-        f = self._features
-        n_faces, n_edges = len(f.n), len(f.t)
-        height = points @ f.n.T + f.c  # above each face, (m, n_faces)
+        corners, start, t, length, N, c, sides, at_side = self._features
+        n_faces, n_flat = len(N), len(N) + len(t)
+        height = points @ N.T + c  # above each face, (m, n_faces)
         inside = (height <= 0).all(1) if n_faces else np.zeros(len(points), dtype=bool)
         # the nearest of faces, edges and corners whose foot lies in them, faces first
-        square = np.full((len(points), n_faces + n_edges + len(f.corners)), np.inf)
-        over = (
-            (points @ f.sides.T >= f.at_side - 1e-8 * np.linalg.norm(f.sides, axis=1))
-            .reshape(len(points), n_faces, 3)
-            .all(2)
-        )
+        square = np.full((len(points), n_flat + len(corners)), np.inf)
+        over = points @ sides.T >= at_side - 1e-8 * np.linalg.norm(sides, axis=1)
+        over = over.reshape(len(points), n_faces, 3).all(2)
         np.copyto(square[:, :n_faces], height**2, where=over & (height > 0))
-        to_edge = points[:, None] - f.start
-        s = np.einsum("mec,ec->me", to_edge, f.t)
-        to_edge -= s[:, :, None] * f.t
-        np.copyto(
-            square[:, n_faces : n_faces + n_edges],
-            np.einsum("mec,mec->me", to_edge, to_edge),
-            where=(s > 0) & (s < f.length),
-        )
-        to_corner = points[:, None] - f.corners
-        square[:, n_faces + n_edges :] = np.einsum("mkc,mkc->mk", to_corner, to_corner)
+        to_edge = points[:, None] - start
+        s = np.einsum("mec,ec->me", to_edge, t)
+        to_edge -= s[:, :, None] * t
+        to_edge_2 = np.einsum("mec,mec->me", to_edge, to_edge)
+        np.copyto(square[:, n_faces:n_flat], to_edge_2, where=(s > 0) & (s < length))
+        to_corner = points[:, None] - corners
+        square[:, n_flat:] = np.einsum("mkc,mkc->mk", to_corner, to_corner)
         nearest = square.argmin(1)
-        rows = np.arange(len(points))
-        rho = np.sqrt(square[rows, nearest])
+        rho = np.sqrt(square[np.arange(len(points)), nearest])
         away = np.where(rho > 0, rho, np.inf)  # on the core itself d has no gradient
 
         n, H = np.empty_like(points), np.zeros((len(points), 3, 3))
-        face, corner = nearest < n_faces, nearest >= n_faces + n_edges
-        edge = ~(face | corner)
-        n[face] = f.n[nearest[face]]
-        i, k = np.flatnonzero(edge), nearest[edge] - n_faces
+        face, corner = nearest < n_faces, nearest >= n_flat
+        n[face] = N[nearest[face]]
+        i = np.flatnonzero(~(face | corner))
+        k = nearest[i] - n_faces
         n[i] = to_edge[i, k] / away[i, None]
-        H[i] = -_outer(f.t[k], f.t[k])
+        H[i] = -_outer(t[k], t[k])
         i = np.flatnonzero(corner)
-        n[i] = to_corner[i, nearest[i] - n_faces - n_edges] / away[i, None]
+        n[i] = to_corner[i, nearest[i] - n_flat] / away[i, None]
         bent = ~(face | inside)
         H[bent] = (np.eye(3) + H[bent] - _outer(n[bent], n[bent])) / away[bent, None, None]
         if inside.any():
             highest = height[inside].argmax(1)
-            rho[inside], n[inside], H[inside] = height[inside, highest], f.n[highest], 0.0
+            rho[inside], n[inside], H[inside] = height[inside, highest], N[highest], 0.0
         return rho - self.radius, n, H
 
 
-@dataclass(frozen=True)
-class _Features:
-    """Corners (k, 3); edges by start, direction and length; faces by plane and their sides' planes.
+def _polyhedron(core: FloatArray) -> tuple[FloatArray, ...]:
+    """Corners, edges (k, 2, 3), N, c, sides and at_side of the convex hull of points (n, 3)."""
+    from scipy.spatial import ConvexHull
 
-    A point lies above a triangle where n·x + c > 0 and its three sides·x ≥ at_side.
-    """
-
-    corners: FloatArray
-    start: FloatArray
-    t: FloatArray
-    length: FloatArray
-    n: FloatArray
-    c: FloatArray
-    sides: FloatArray
-    at_side: FloatArray
+    if np.linalg.matrix_rank(core - core.mean(0), tol=1e-9 * np.ptp(core)) < 3:
+        raise InputError("the core of a rounded solid must be a point, a line or a solid")
+    hull = ConvexHull(core)
+    N, c = hull.equations[:, :3], hull.equations[:, 3]
+    # an edge between coplanar triangles is none
+    pairs = {
+        tuple(sorted((a, b)))
+        for f, ring in enumerate(hull.simplices)
+        for a, b, across in zip(ring, np.roll(ring, -1), np.roll(hull.neighbors[f], 1), strict=True)
+        if N[f] @ N[across] < 1 - 1e-9
+    }
+    ring = core[hull.simplices]
+    along = np.roll(ring, -1, axis=1) - ring
+    turn = np.sign(np.einsum("fc,fc->f", np.cross(along[:, 0], along[:, 1]), N))
+    inward = turn[:, None, None] * np.cross(N[:, None], along)
+    at_side = np.einsum("fkc,fkc->fk", inward, ring).ravel()
+    return core[hull.vertices], core[np.array(sorted(pairs))], N, c, inward.reshape(-1, 3), at_side
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,7 +235,7 @@ class Placed:
 
     @property
     def sharpest(self) -> float:
-        """Smallest radius of curvature, mm; 0 where the shape does not tell."""
+        """Smallest radius of curvature, mm; 0 where it is unknown."""
         return getattr(self.shape, "sharpest", 0.0)
 
     @cached_property
@@ -264,7 +244,7 @@ class Placed:
         box = getattr(self.shape, "box", None)
         if box is None:
             return None
-        corners = np.array([[box[i][0], box[j][1], box[k][2]] for i, j, k in np.ndindex(2, 2, 2)])
+        corners = np.stack(np.meshgrid(*np.transpose(box), indexing="ij"), axis=-1).reshape(-1, 3)
         corners = corners @ np.asarray(self.axes).T + np.asarray(self.origin)
         return np.stack([corners.min(0), corners.max(0)])
 
@@ -306,12 +286,7 @@ def round_punch(radius: float) -> Rounded:
 def box_punch(length: float, width: float, edge_radius: float) -> Rounded:
     """Return an upright bar of rectangular section, its filleted lower face at z = 0.
 
-    Parameters
-    ----------
-    length, width : float
-        Outer dimensions along x and y, mm.
-    edge_radius : float
-        Of all edges, mm.
+    Its outer dimensions are `length` along x and `width` along y, mm.
     """
     r = check_number("edge_radius", edge_radius)
     for name, side in (("length", length), ("width", width)):
@@ -336,22 +311,18 @@ def tetrahedron_punch(
     azimuth : float
         Direction of one of the three edges that run up from the tip, degrees from x.
     """
-    for name, value in (("base_edge", base_edge), ("height", height)):
+    from scipy.spatial import ConvexHull
+
+    for name, value in (("base_edge", base_edge), ("height", height), ("edge_radius", edge_radius)):
         check_number(name, value)
-    check_number("edge_radius", edge_radius)
-    corners = regular_polygon(3, base_edge, azimuth)
-    base = np.column_stack([corners, np.full(3, height)])
+    base = np.column_stack([regular_polygon(3, base_edge, azimuth), np.full(3, height)])
     faces = ConvexHull(np.vstack([np.zeros(3), base])).equations
-    # the faces moved inwards meet in the corners of the core
-    centre = np.array([0.0, 0.0, 0.75 * height])
-    if (faces[:, :3] @ centre + faces[:, 3] + edge_radius).max() >= 0:
+    core = _shrunk(faces, np.array([0.0, 0.0, 0.75 * height]), edge_radius)
+    if core is None:
         raise InputError(
             f"edge_radius {edge_radius:g} mm is too large for a tetrahedron with base_edge "
             f"{base_edge:g} and height {height:g} mm"
         )
-    core = HalfspaceIntersection(
-        faces + np.array([0.0, 0.0, 0.0, edge_radius]), centre
-    ).intersections
     core[:, 2] += edge_radius - core[:, 2].min()
     return Rounded(core, edge_radius)
 
@@ -362,12 +333,9 @@ def opening(corners: FloatArray, corner_radius: float, fillet: float) -> Opening
     Parameters
     ----------
     corners : (n, 2) array
-        Corners of the section before rounding, mm, counter-clockwise; one point (n = 1) makes a
-        round opening.
-    corner_radius : float
-        mm.
-    fillet : float
-        Radius of the upper edge, mm.
+        Corners of the section before rounding, mm, counter-clockwise; one makes it round.
+    corner_radius, fillet : float
+        Of the section and of the upper edge, mm.
     """
     corners = np.atleast_2d(np.asarray(corners, dtype=float))
     check_number("corner_radius" if len(corners) > 1 else "radius", corner_radius)
@@ -376,14 +344,22 @@ def opening(corners: FloatArray, corner_radius: float, fillet: float) -> Opening
         inward = np.column_stack([-side[:, 1], side[:, 0]])
         inward /= np.linalg.norm(inward, axis=1)[:, None]
         lines = np.column_stack([-inward, (inward * corners).sum(1)])
-        centre = corners.mean(0)
-        if (lines[:, :2] @ centre + lines[:, 2] + corner_radius).max() >= 0:
+        corners = _shrunk(lines, corners.mean(0), corner_radius)
+        if corners is None:
             raise InputError(f"corner_radius {corner_radius:g} mm is too large for the opening")
-        corners = HalfspaceIntersection(
-            lines + np.array([0.0, 0.0, corner_radius]), centre
-        ).intersections
     core = np.vstack([np.insert(corners, 2, z, axis=1) for z in (-FAR, FAR)])
     return Opening(Rounded(core, corner_radius), fillet)
+
+
+def _shrunk(faces: FloatArray, centre: FloatArray, radius: float) -> FloatArray | None:
+    """Corners of faces n·x + c = 0, rows (n, c), moved inwards; None if nothing is left."""
+    from scipy.spatial import HalfspaceIntersection
+
+    if (faces[:, :-1] @ centre + faces[:, -1] + radius).max() >= 0:
+        return None
+    moved = np.zeros(faces.shape[1])
+    moved[-1] = radius
+    return HalfspaceIntersection(faces + moved, centre).intersections
 
 
 def round_opening(radius: float, fillet: float) -> Opening:
@@ -439,11 +415,9 @@ class Tool:
             raise InputError(
                 f"{self.name}: motion must be 'fixed', 'driven' or 'free', got {self.motion!r}"
             )
-        check_number(f"{self.name}: friction", self.friction, zero_allowed=True)
-        check_number(f"{self.name}: force", self.force, zero_allowed=True)
-        check_number(
-            f"{self.name}: mass", self.mass, zero_allowed=self.motion != "free" or self.force > 0
-        )
+        weightless = self.motion != "free" or self.force > 0
+        for key, zero in (("friction", True), ("force", True), ("mass", weightless)):
+            check_number(f"{self.name}: {key}", getattr(self, key), zero_allowed=zero)
         if self.tilts and self.motion != "free":
             raise InputError(f"{self.name}: only a free tool tilts")
 

@@ -1,25 +1,29 @@
-"""A tool from a surface file: placed over the sheet, told of in words, and doubted.
+"""A tool from a surface file, placed over the sheet.
 
 What a file holds may be upside down, inside out, elsewhere, or in another unit. The model says
-where it lies and, where it cannot be meant so, which line of the scene mends it.
+where it lies and, where that cannot be right, which line of the scene corrects it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import shapely
-from scipy.ndimage import label
 
-from ..checks import InputError
-from ..scenes.scene_file import SurfaceFile, ToolPart
+from ..checks import InputError, naming
 from . import grid as surface
+from .mending import loops_of, normals_of, position
+from .part import ToolPart
 from .shapes import Tool
+from .surface_file import SurfaceFile
+
+if TYPE_CHECKING:
+    import shapely
 
 FloatArray = np.ndarray
-SMALL = 0.2  # of an opening: a narrower punch is told of
+SMALL = 0.2  # of an opening: the model warns of a narrower punch
 SAMPLES = 60  # points a side of the grid on which an opening is looked for
 
 
@@ -36,10 +40,10 @@ class ToolFile:
     grid : SurfaceGrid
         Its distance, where the sheet can be.
     vertices : (n, 3) array
-        Placed, mended, in the tool's own z, mm.
+        Placed, repaired, in the tool's own z, mm.
     n_triangles : int
-    repairs, doubts : list of str
-        What was mended; what it may be instead, with the line that mends it.
+    repairs, warnings : list of str
+        What was repaired; what may be wrong, with the line that corrects it.
     """
 
     part: ToolPart
@@ -48,7 +52,7 @@ class ToolFile:
     vertices: FloatArray
     n_triangles: int
     repairs: list[str]
-    doubts: list[str]
+    warnings: list[str]
 
     @property
     def file(self) -> SurfaceFile:
@@ -81,7 +85,7 @@ class ToolFile:
     def told(
         self, tools: Sequence[Tool], outline: shapely.Polygon, travel: float
     ) -> list[tuple[str, str]]:
-        """Lines of the model: what the file holds, where it lies, what was mended, doubts."""
+        """Lines of the model: what the file holds, where it lies, repairs, warnings."""
         part, box = self.part, self.box
         z = -self.vertices[:, 2] if self.down else self.vertices[:, 2]
         ends = self.vertices[z > z.max() - 1e-6 * np.ptp(self.vertices)]
@@ -91,30 +95,27 @@ class ToolFile:
         if abs(gap) > 1e-9:
             side = "over" if (gap > 0) == self.down else "under"
             where = f"{abs(gap):.3g} mm {side} the {'upper' if self.down else 'lower'} face of"
-        lines = [
-            (
-                f"{part.name} from {self.name}",
-                "{:.4g} x {:.4g} x {:.4g} mm".format(*np.ptp(box, axis=0))
-                + f", {self.n_triangles} triangles, its middle at {_at(box.mean(0))}, its "
-                f"{'lowest' if self.down else 'highest'} point at {_at(end[:2] + part.place)}, "
-                f"{where} the sheet",
-            )
-        ]
+        size = "{:.4g} x {:.4g} x {:.4g} mm".format(*np.ptp(box, axis=0))
+        middle, tip = position(box.mean(0)[:2]), position(end[:2] + part.place)
+        size += f", {self.n_triangles} triangles, its middle at {middle}"
+        tip = f"its {'lowest' if self.down else 'highest'} point at {tip}"
+        lines = [(f"{part.name} from {self.name}", f"{size}, {tip}, {where} the sheet")]
         if self.repairs:
             lines.append((f"{self.name} repaired", "; ".join(self.repairs)))
-        doubts = [*self.doubts, *self._lost_in_opening(tools, outline, travel)]
-        return lines + [(f"warning, {self.name}", doubt) for doubt in doubts]
+        warnings = [*self.warnings, *self._lost_in_opening(tools, outline, travel)]
+        return lines + [(f"warning, {self.name}", warning) for warning in warnings]
 
     def _lost_in_opening(
         self, tools: Sequence[Tool], outline: shapely.Polygon, travel: float
     ) -> list[str]:
         """Warn of a punch that is small in the opening under it."""
+        from scipy.ndimage import label
+
         if self.part.motion != "driven":
             return []
-        box, told = self.box, []
+        box, warnings, scale = self.box, [], self.file.scale
         size, middle = np.ptp(box[:, :2], axis=0).max(), box.mean(0)
-        low_x, low_y, high_x, high_y = outline.bounds
-        x, y = np.linspace(low_x, high_x, SAMPLES), np.linspace(low_y, high_y, SAMPLES)
+        x, y = np.linspace(*np.reshape(outline.bounds, (2, 2)), SAMPLES, axis=1)
         level = np.full((SAMPLES, SAMPLES), -travel / 2)
         points = np.stack([*np.meshgrid(x, y, indexing="ij"), level], axis=-1)
         for die in (tool for tool in tools if tool.motion == "fixed"):
@@ -127,17 +128,16 @@ class ToolFile:
                 continue
             width = np.ptp(points[opening][:, :2], axis=0).max()
             if size < SMALL * width:
-                scale = self.file.scale
-                told.append(
+                warnings.append(
                     f"{size:.3g} mm wide (scale = {scale:g}) in an opening of about {width:.2g} "
                     f"mm: {surface.likely_unit(size / scale, width)}"
                 )
-        return told
+        return warnings
 
     def why_inside(self) -> str:
-        """What may have put it into the flat sheet, and what mends it."""
-        if self.doubts:
-            return f"{self.name}: {self.doubts[0]}"
+        """What may have put it into the flat sheet, and what corrects it."""
+        if self.warnings:
+            return f"{self.name}: {self.warnings[0]}"
         flip = f"set flip = {str(not self.file.flip).lower()}"
         if self.part.z is None:
             return flip
@@ -153,22 +153,18 @@ def read(part: ToolPart, outline: shapely.Polygon, travel: float, thickness: flo
     part : ToolPart
     outline : Polygon
         Of the flat blank.
-    travel : float
-        Largest travel of the scene, mm.
-    thickness : float
-        Of the sheet, mm.
+    travel, thickness : float
+        Largest travel of the scene, and of the sheet, mm.
 
     Raises
     ------
     InputError
-        For a file that cannot be read or mended, that lies nowhere near the sheet, or whose size
-        tells of another unit.
+        For a file that cannot be read or repaired, that lies nowhere near the sheet, or whose size
+        suggests another unit.
     """
-    given = part.shape
+    file = part.shape
     reach = np.full(2, 1.1 * max(np.abs(outline.bounds)))
-    vertices, triangles, repairs = surface.placed_and_told(
-        given.path, given.scale, given.flip, given.rotate, given.origin
-    )
+    vertices, triangles, repairs = file.placed()
     bottom, top = float(vertices[:, 2].min()), float(vertices[:, 2].max())
     # the sheet is between the punch's lowest point and the die's face
     deep, margin = travel + 4 * thickness, 10.0
@@ -177,30 +173,24 @@ def read(part: ToolPart, outline: shapely.Polygon, travel: float, thickness: flo
         "die": (top - deep - margin, top + margin),
         "holder": (bottom - deep - margin, bottom + margin),
     }[part.role]
+    low, high = np.append(-reach - part.place, low), np.append(reach - part.place, high)
     across = float(np.ptp(np.reshape(outline.bounds, (2, 2)), axis=0).max())
-    with surface.naming(given.path):
-        surface.check_size(np.ptp(vertices, axis=0).max(), across, given.scale)
-        _check_over_sheet(vertices[:, :2] + part.place, given, outline, reach)
+    with naming(file.path):
+        surface.check_size(np.ptp(vertices, axis=0).max(), across, file.scale)
+        _check_over_sheet(vertices[:, :2] + part.place, file, outline, reach)
         grid = surface.surface_grid(
-            vertices,
-            triangles,
-            np.append(-reach - part.place, low),
-            np.append(reach - part.place, high),
-            given.spacing,
-            across,
-            given.scale,
-            given.flip,
+            vertices, triangles, low, high, file.spacing, across, file.scale, file.flip
         )
-    doubts = surface.doubts(vertices, triangles, part.role, given.rotate, given.flip)
-    return ToolFile(part, thickness, grid, vertices, len(triangles), repairs, doubts)
+    warnings = _orientation_warnings(vertices, triangles, part.role, file)
+    return ToolFile(part, thickness, grid, vertices, len(triangles), repairs, warnings)
 
 
 def why_tight(driven: Tool, fixed: Tool, files: Mapping[str, ToolFile], thickness: float) -> str:
-    """What is odd about tools from files that leave no room, and the line that mends it."""
+    """What is odd about tools from files that leave no room, and the line that corrects it."""
     named = [name for name in (driven.name, fixed.name) if name in files]
     for name in named:
-        if files[name].doubts:
-            return f"; {files[name].name}: {files[name].doubts[0]}"
+        if files[name].warnings:
+            return f"; {files[name].name}: {files[name].warnings[0]}"
     middles = [
         files[tool.name].box.mean(0)[:2] if tool.name in files else np.array(tool.place)
         for tool in (driven, fixed)
@@ -208,20 +198,43 @@ def why_tight(driven: Tool, fixed: Tool, files: Mapping[str, ToolFile], thicknes
     off = middles[0] - middles[1]
     if not named or np.linalg.norm(off) < thickness:
         return ""
-    given = files[named[0]].file
-    shift = off if named[0] == driven.name else -off
-    origin = surface.moved_origin(given.rotate, given.origin, *shift)
+    origin = files[named[0]].file.moved_origin(*(off if named[0] == driven.name else -off))
+    first, second = map(position, middles)
     return (
-        f"; the middle of the {driven.name} is at {_at(middles[0])}, that of the {fixed.name} at "
-        f"{_at(middles[1])}; for the {named[0]}, {origin} brings them together"
+        f"; the middle of the {driven.name} is at {first}, that of the {fixed.name} at {second}; "
+        f"for the {named[0]}, {origin} brings them together"
     )
 
 
+def _orientation_warnings(
+    vertices: FloatArray, triangles: np.ndarray, role: str, file: SurfaceFile
+) -> list[str]:
+    """What makes an open surface look upside down or inside out, and the line that corrects it."""
+    loops = loops_of(vertices, triangles)
+    if not loops:
+        return []
+    # turned by another 180 degrees about x, which reverses the turns about y and z
+    x, y, z = file.rotate
+    over = np.array([180.0 - (-x % 360), -y, -z]) + 0.0
+    upside_down = "rotate = [{:g}, {:g}, {:g}]".format(*over)
+    height = vertices[:, 2] - vertices[:, 2].min()
+    tall = height.max() > 1e-3 * np.ptp(vertices)
+    if role == "punch" and tall and height[loops[0]].mean() < 0.1 * height.max():
+        return [f"the surface is open towards the sheet: upside down? {upside_down}"]
+    up = normals_of(vertices[triangles])[:, 2].sum()
+    if up * (1 if role == "die" else -1) < 0:
+        return [
+            "its normals point away from the sheet: inside out? "
+            f"flip = {str(not file.flip).lower()}; or upside down? {upside_down}"
+        ]
+    return []
+
+
 def _check_over_sheet(
-    plan: FloatArray, given: SurfaceFile, outline: shapely.Polygon, reach: FloatArray
+    plan: FloatArray, file: SurfaceFile, outline: shapely.Polygon, reach: FloatArray
 ) -> None:
     low, high = plan.min(0), plan.max(0)
-    beside = max(10.0, surface.MARGIN * (given.spacing or surface.SPACING))
+    beside = max(10.0, surface.MARGIN * (file.spacing or surface.SPACING))
     if (low - beside < reach).all() and (high + beside > -reach).all():
         return
     low_x, low_y, high_x, high_y = outline.bounds
@@ -229,12 +242,6 @@ def _check_over_sheet(
     raise InputError(
         f"the tool is nowhere near the sheet: it lies at x {low[0]:.4g} to {high[0]:.4g}, "
         f"y {low[1]:.4g} to {high[1]:.4g} mm, the sheet at x {low_x:.4g} to {high_x:.4g}, "
-        f"y {low_y:.4g} to {high_y:.4g} mm; "
-        f"{surface.moved_origin(given.rotate, given.origin, *off)} puts it over the middle of the "
-        "sheet"
+        f"y {low_y:.4g} to {high_y:.4g} mm; {file.moved_origin(*off)} puts it over the middle of "
+        "the sheet"
     )
-
-
-def _at(point: FloatArray) -> str:
-    # a rounding error is no coordinate
-    return "({:.4g}, {:.4g})".format(*(np.round(point[:2], 3) + 0.0))

@@ -16,7 +16,7 @@ import meshio
 import numpy as np
 
 import quasiform as qf
-from quasiform.comparison.sheet import sheared
+from quasiform.result.sheet import FormedSheet
 from validation.peers import calculix_hemisphere as peer
 
 FOLDER = Path(__file__).parent
@@ -44,7 +44,7 @@ def write(nodes: np.ndarray, triangles: np.ndarray, u: np.ndarray, force: float)
         x.round(5),
         [("triangle", triangles)],
         point_data={"displacement": u.round(5)},
-        cell_data={"shear_angle": [sheared(nodes, x, triangles, 0.0).round(4)]},
+        cell_data={"shear_angle": [FormedSheet(x, triangles, nodes).sheared(np.eye(2)).round(4)]},
     ).write(FOLDER / "calculix.vtu")
     travel = peer.TRAVEL - peer.GAP + peer.THICKNESS / 2
     text = f"travel_mm,force_N\n{travel:.6f},{force:.6g}\n"

@@ -10,6 +10,7 @@ from quasiform.energy.friction import Friction
 from quasiform.energy.membrane import Membrane
 from quasiform.energy.weight import GRAVITY, ToolWeight
 from quasiform.tools.shapes import Plane, bar, flipped
+from quasiform.unknowns import Sheet, Unknowns
 
 LOAD, RADIUS, LEAD, WIDTH = 20.0, 50.0, 25.0, 10.0  # N, mm
 
@@ -41,26 +42,26 @@ def values() -> dict[str, float]:
     return found
 
 
-class EndLoad:
+class EndLoad(qf.Term):
     """Dead load along -x, shared by some nodes."""
 
     name = "end load"
 
-    def __init__(self, nodes: np.ndarray, load: float) -> None:
-        self.dofs = 3 * np.asarray(nodes)[:, None]
+    def __init__(self, sheet: Sheet, nodes: np.ndarray, load: float) -> None:
+        self.dofs = sheet.dofs[nodes, :1]
         self.share = load / len(nodes)
 
-    def energy(self, x: np.ndarray) -> np.ndarray:
+    def energy(self, x: np.ndarray, state: None = None) -> np.ndarray:
         return self.share * x[self.dofs[:, 0]]
 
-    def gradient(self, x: np.ndarray) -> np.ndarray:
+    def gradient(self, x: np.ndarray, state: None = None) -> np.ndarray:
         return np.full(self.dofs.shape, self.share)
 
-    def hessian(self, x: np.ndarray, convex: bool) -> np.ndarray:
+    def hessian(self, x: np.ndarray, state: None, convex: bool) -> np.ndarray:
         return np.zeros((len(self.dofs), 1, 1))
 
 
-def capstan(friction: float, wrap: float, size: float) -> qf.Scene:
+def capstan(friction: float, wrap: float, size: float) -> qf.Model:
     """A strip over a fixed drum: dead load on one straight end, the other one pulled 3 mm along."""
     fabric = qf.Fabric()
     mid = RADIUS + fabric.thickness / 2
@@ -80,7 +81,9 @@ def capstan(friction: float, wrap: float, size: float) -> qf.Scene:
         ]
     )
     x0 = np.append(wrapped.ravel(), 0.0)
-    contact = Contact(blank, fabric, qf.Tool("drum", bar(RADIUS), friction=friction), 3 * n)
+    sheet = (unknowns := Unknowns()).sheet(blank, fabric, dim=3)
+    drum = qf.Tool("drum", bar(RADIUS), friction=friction)
+    contact = Contact(sheet, drum, unknowns.add("drum", 1).dofs)
     loaded = np.flatnonzero(blank.nodes[:, 0] < 1e-9)
     pulled = np.flatnonzero(blank.nodes[:, 0] > length - 1e-9)
     fixed = np.zeros(len(x0), dtype=bool)
@@ -89,14 +92,13 @@ def capstan(friction: float, wrap: float, size: float) -> qf.Scene:
     fixed[(3 * pulled[:, None] + np.arange(3)).ravel()] = True
     drive = np.zeros(len(x0))
     drive[3 * pulled], drive[3 * pulled + 2] = np.cos(phi), -np.sin(phi)
-    terms = [Membrane(blank, fabric, 3), Bending(blank, fabric), contact, EndLoad(loaded, LOAD)]
+    terms = [Membrane(sheet), Bending(sheet), contact, EndLoad(sheet, loaded, LOAD)]
     if friction:
-        terms.append(Friction(contact, x0))
-    return qf.Scene(
+        terms.append(Friction(contact))
+    return qf.Model(
         name="capstan",
-        blank=blank,
-        fabric=fabric,
-        dim=3,
+        unknowns=unknowns,
+        sheets=[sheet],
         terms=terms,
         x0=x0,
         fixed=fixed,
@@ -108,7 +110,7 @@ def capstan(friction: float, wrap: float, size: float) -> qf.Scene:
     )
 
 
-def strip(mass: float, friction: float, pull: float) -> qf.Scene:
+def strip(mass: float, friction: float, pull: float) -> qf.Model:
     """A strip on a fixed plate under a loose one with weight, pulled at one end."""
     fabric = qf.Fabric()
     blank = qf.rectangle(100.0, 50.0, 10.0)
@@ -117,7 +119,8 @@ def strip(mass: float, friction: float, pull: float) -> qf.Scene:
         qf.Tool("table", Plane(), friction=friction),
         qf.Tool("plate", flipped(Plane()), t0, "free", friction, mass),
     ]
-    contacts = [Contact(blank, fabric, plate, 3 * n + i) for i, plate in enumerate(plates)]
+    sheet = (unknowns := Unknowns()).sheet(blank, fabric, dim=3)
+    contacts = [Contact(sheet, plate, unknowns.add(plate.name, 1).dofs) for plate in plates]
     sunk = contacts[1].depth_under(load, blank.areas.sum())
     flat = np.column_stack([blank.nodes, np.full(n, t0 / 2 - sunk)])
     x0 = np.append(flat.ravel(), [0.0, t0 - 2 * sunk])
@@ -127,14 +130,13 @@ def strip(mass: float, friction: float, pull: float) -> qf.Scene:
     fixed[3 * pulled] = fixed[3 * pulled + 1] = True
     drive = np.zeros(len(x0))
     drive[3 * pulled] = 1.0
-    return qf.Scene(
+    return qf.Model(
         name="strip",
-        blank=blank,
-        fabric=fabric,
-        dim=3,
+        unknowns=unknowns,
+        sheets=[sheet],
         terms=[
-            *(Membrane(blank, fabric, 3), Bending(blank, fabric), *contacts),
-            *(Friction(contact, x0) for contact in contacts),
+            *(Membrane(sheet), Bending(sheet), *contacts),
+            *(Friction(contact) for contact in contacts),
             ToolWeight(load, 3 * n + 1),
         ],
         x0=x0,

@@ -51,7 +51,7 @@ def table() -> str:
                     _shown(short.estimate["force_N"], 100 / short.force),
                     _shown(short.estimate["shear_angle_deg"], 1.0),
                     "yes"
-                    if short.certified is True and long.certified is True
+                    if short.certified and long.certified
                     else f"{short.certified} / {long.certified}",
                 ]
             )

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from quasiform.result.measures import discretisation_error
+from quasiform.result.estimate import discretisation_error
 
 FloatArray = np.ndarray
 REFERENCE = "reference"

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 import quasiform as qf
-from quasiform.result.run import package_version
+from quasiform.result.summary import package_version
 from quasiform.scenes import scene_file
 from quasiform.solve.newton import Equilibrium
 
@@ -217,7 +217,7 @@ def run(plan: Plan) -> tuple[Row, FloatArray]:
         units=0.0 if plan.strategy == "relaxation" else work(equilibria, unit),
         force=result.force,
         p99=result.quantities["shear_angle_deg"],
-        certified="yes" if certified is True else str(certified),
+        certified="yes" if certified else str(certified),
         estimate=result.estimate["shear_angle_deg"],
         estimate_force=result.estimate["force_N"],
         version=sources(),

@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 
 import quasiform as qf
-from quasiform.result.run import package_version
+from quasiform.result.summary import package_version
 
 from .scenes import CASES, SPAN
 from .settings import DEFAULT, Cell, Setting
@@ -145,7 +145,7 @@ def solve(cell: Cell) -> dict[str, Any]:
         "reached": result.states[-1].travel,
         "goal": scene.travel,
         "rescues": result.rescues,
-        "certified": "yes" if result.certified is True else str(result.certified),
+        "certified": "yes" if result.certified else str(result.certified),
         "collapse": result.collapse and result.collapse["travel_mm"],
         "averages": case.averages(result),
         "force": result.force,

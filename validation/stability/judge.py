@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from quasiform.result.measures import discretisation_error
+from quasiform.result.estimate import discretisation_error
 
 from .cells import Solved
 from .scenes import CASES

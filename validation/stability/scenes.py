@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import partial, wraps
 
 import numpy as np
 from scipy.interpolate import LinearNDInterpolator
@@ -20,13 +20,15 @@ from quasiform.energy.contact import Contact, at_edges
 from quasiform.energy.friction import Friction
 from quasiform.energy.membrane import Membrane
 from quasiform.energy.weight import GRAVITY, ToolWeight
+from quasiform.recipe import built
 from quasiform.scenes import scene_file
 from quasiform.tools.shapes import Plane, bar, flipped
+from quasiform.unknowns import Sheet, Unknowns
 
 from ..friction_exact.case import EndLoad
 
 FloatArray = np.ndarray
-Build = Callable[[float, qf.Fabric], qf.Scene]
+Build = Callable[[float, qf.Fabric], qf.Model]
 Numbers = Callable[[qf.Result], dict[str, float]]
 BLOCK = 5.0  # kg on the strip that sticks and slips
 SPAN = 80.0  # mm: travel of which an increment of 1 mm is 1/80, where the travel is another sort
@@ -98,36 +100,50 @@ def height(result: qf.Result) -> FloatArray:
 # The scenes of the paper, and off-axis tension and forming in other ways
 
 
-def tension(angle: float, mesh: str, size: float, fabric: qf.Fabric) -> qf.Scene:
+def tension(angle: float, mesh: str, size: float, fabric: qf.Fabric) -> qf.Model:
     return qf.off_axis_tension(angle, fabric, size=size, mesh=mesh)
 
 
-def compression(size: float, fabric: qf.Fabric) -> qf.Scene:
+def compression(size: float, fabric: qf.Fabric) -> qf.Model:
     """The 45° specimen pressed together by 30 mm, held flat: its grip driven the other way."""
-
-    def build(size: float) -> qf.Scene:
-        scene = qf.off_axis_tension(45.0, fabric, displacement=30.0, size=size)
-        scene.drive = -scene.drive
-        scene.name, scene.resized = "oat-45-compressed", build
-        return scene
-
-    return build(size)
+    scene = qf.off_axis_tension(45.0, fabric, displacement=30.0, size=size)
+    return scene.including(pressed_together)
 
 
-def forming(name: str, orientation: float, mesh: str, size: float, fabric: qf.Fabric) -> qf.Scene:
+def pressed_together(scene: qf.Model) -> None:
+    """Drive the grip of a tension test the other way."""
+    scene.name, scene.drive = "oat-45-compressed", -scene.drive
+
+
+def forming(name: str, orientation: float, mesh: str, size: float, fabric: qf.Fabric) -> qf.Model:
     file = replace(scene_file.load(name), mesh=mesh)
     return qf.forming(file, orientation, fabric, size)
 
 
-def without_bending(size: float, fabric: qf.Fabric) -> qf.Scene:
+def without_bending(size: float, fabric: qf.Fabric) -> qf.Model:
     limp = replace(fabric, bending_warp=0.0, bending_weft=0.0)
     return qf.forming("hemisphere", 0.0, limp, size)
+
+
+def of_any_size(build: Build) -> Build:
+    """Give what a function builds by hand a recipe, so that it is built at other sizes too."""
+
+    @wraps(build)
+    def builder(size: float, fabric: qf.Fabric, like: qf.Model | None = None) -> qf.Model:
+        return build(size, fabric)
+
+    @wraps(build)
+    def with_recipe(size: float, fabric: qf.Fabric, like: qf.Model | None = None) -> qf.Model:
+        return built(builder, size, fabric=fabric)
+
+    return with_recipe
 
 
 # Sheets in space without tools
 
 
-def sheared_sheet(size: float, fabric: qf.Fabric) -> qf.Scene:
+@of_any_size
+def sheared_sheet(size: float, fabric: qf.Fabric) -> qf.Model:
     """Sheet with fibres at ±45° between two clamps, one of which slides along: it wrinkles.
 
     One family is drawn tight between the clamps and the other one is pressed together. The sheet
@@ -148,11 +164,11 @@ def sheared_sheet(size: float, fabric: qf.Fabric) -> qf.Scene:
         moving=blank.nodes[:, 1] > width / 2 - 1e-6,
         travel=slide,
         size=size,
-        resized=lambda size: sheared_sheet(size, fabric),
     )
 
 
-def flat_strip(size: float, fabric: qf.Fabric) -> qf.Scene:
+@of_any_size
+def flat_strip(size: float, fabric: qf.Fabric) -> qf.Model:
     """Clamped strip that starts exactly flat and is pressed together along its fibres."""
     length, width, shortening = 100.0, 40.0, 5.0
     blank = qf.rectangle(length, width, size)
@@ -165,7 +181,6 @@ def flat_strip(size: float, fabric: qf.Fabric) -> qf.Scene:
         moving=blank.nodes[:, 0] < -length / 2 + 1e-6,
         travel=shortening,
         size=size,
-        resized=lambda size: flat_strip(size, fabric),
     )
 
 
@@ -177,18 +192,17 @@ def _free_sheet(
     moving: np.ndarray,
     travel: float,
     size: float,
-    resized: Callable[[float], qf.Scene],
-) -> qf.Scene:
+) -> qf.Model:
     """Flat sheet with clamped nodes, some of which move along x."""
     x0 = np.pad(blank.nodes, ((0, 0), (0, 1))).ravel()
     drive = np.zeros(len(x0))
     drive[0::3] = moving
-    return qf.Scene(
+    sheet = (unknowns := Unknowns()).sheet(blank, fabric, dim=3)
+    return qf.Model(
         name=name,
-        blank=blank,
-        fabric=fabric,
-        dim=3,
-        terms=[Membrane(blank, fabric, 3), Bending(blank, fabric, clamped)],
+        unknowns=unknowns,
+        sheets=[sheet],
+        terms=[Membrane(sheet), Bending(sheet, clamped)],
         x0=x0,
         fixed=np.repeat(clamped, 3),
         drive=drive,
@@ -196,33 +210,33 @@ def _free_sheet(
         increment=travel / 16,
         rows=travel / 16,
         parameters={"size": size},
-        resized=resized,
     )
 
 
-class LineLoad:
+class LineLoad(qf.Term):
     """Dead load along -z on some nodes: E = q P/n Σ z, the factor q a degree of freedom."""
 
     name = "line load"
 
-    def __init__(self, nodes: FloatArray, load: float, factor_dof: int) -> None:
-        self.dofs = np.column_stack([3 * nodes + 2, 0 * nodes + factor_dof])
+    def __init__(self, sheet: Sheet, nodes: FloatArray, load: float, factor_dof: int) -> None:
+        self.dofs = np.column_stack([sheet.dofs[nodes, 2], 0 * nodes + factor_dof])
         self.load = load / len(nodes)
 
-    def energy(self, x: FloatArray) -> FloatArray:
+    def energy(self, x: FloatArray, state: None = None) -> FloatArray:
         z, q = x[self.dofs].T
         return self.load * q * z
 
-    def gradient(self, x: FloatArray) -> FloatArray:
+    def gradient(self, x: FloatArray, state: None = None) -> FloatArray:
         return self.load * x[self.dofs[:, ::-1]]
 
-    def hessian(self, x: FloatArray, convex: bool) -> FloatArray:
+    def hessian(self, x: FloatArray, state: None, convex: bool) -> FloatArray:
         H = np.zeros((len(self.dofs), 2, 2))
         H[:, 0, 1] = H[:, 1, 0] = self.load
         return H
 
 
-def arch(size: float, fabric: qf.Fabric) -> qf.Scene:
+@of_any_size
+def arch(size: float, fabric: qf.Fabric) -> qf.Model:
     """Shallow arch of fibre lines between hinges, with a dead load on its middle that breaks it.
 
     A strip 2 % longer than its span; the load is about twice what it bears, so that on the way it
@@ -232,7 +246,6 @@ def arch(size: float, fabric: qf.Fabric) -> qf.Scene:
     length = span * (1 + extra)
     load = 0.16  # N
     blank = qf.rectangle(length, width, size)
-    n = len(blank.nodes)
     s = blank.nodes[:, 0] / length
     rise = 2 / np.pi * span * np.sqrt(extra)
     flat = np.column_stack([span * s, blank.nodes[:, 1], rise * np.cos(np.pi * s)])
@@ -241,15 +254,16 @@ def arch(size: float, fabric: qf.Fabric) -> qf.Scene:
     middle = np.flatnonzero(np.abs(blank.nodes[:, 0]) < np.abs(blank.nodes[:, 0]).min() + 1e-6)
     drive = np.zeros(len(x0))
     drive[-1] = 1.0
-    return qf.Scene(
+    sheet = (unknowns := Unknowns()).sheet(blank, fabric, dim=3)
+    factor = unknowns.add("load factor", 1)
+    return qf.Model(
         name="arch",
-        blank=blank,
-        fabric=fabric,
-        dim=3,
+        unknowns=unknowns,
+        sheets=[sheet],
         terms=[
-            Membrane(blank, fabric, 3),
-            Bending(blank, fabric),
-            LineLoad(middle, load, 3 * n),
+            Membrane(sheet),
+            Bending(sheet),
+            LineLoad(sheet, middle, load, int(factor.dofs[0, 0])),
         ],
         x0=x0,
         fixed=np.append(np.repeat(hinged, 3), True),
@@ -261,14 +275,14 @@ def arch(size: float, fabric: qf.Fabric) -> qf.Scene:
         dead_load=load,
         resting=load,
         parameters={"size": size},
-        resized=lambda size: arch(size, fabric),
     )
 
 
 # Strips under and over tools
 
 
-def block(size: float, fabric: qf.Fabric) -> qf.Scene:
+@of_any_size
+def block(size: float, fabric: qf.Fabric) -> qf.Model:
     """A strip between a table and a loose plate of 5 kg, pulled out until it sticks and slips."""
     mass, pull = BLOCK, 2.0
     blank = qf.rectangle(100.0, 50.0, size)
@@ -277,7 +291,8 @@ def block(size: float, fabric: qf.Fabric) -> qf.Scene:
         qf.Tool("table", Plane(), friction=fabric.friction),
         qf.Tool("plate", flipped(Plane()), t0, "free", fabric.friction, mass),
     ]
-    contacts = [Contact(blank, fabric, plate, 3 * n + i) for i, plate in enumerate(plates)]
+    sheet = (unknowns := Unknowns()).sheet(blank, fabric, dim=3)
+    contacts = [Contact(sheet, plate, unknowns.add(plate.name, 1).dofs) for plate in plates]
     sunk = contacts[1].depth_under(1e3 * GRAVITY * mass, blank.areas.sum())
     flat = np.column_stack([blank.nodes, np.full(n, t0 / 2 - sunk)])
     x0 = np.append(flat.ravel(), [0.0, t0 - 2 * sunk])
@@ -287,16 +302,15 @@ def block(size: float, fabric: qf.Fabric) -> qf.Scene:
     fixed[0 : 3 * n : 3] = fixed[1 : 3 * n : 3] = pulled
     drive = np.zeros(len(x0))
     drive[0 : 3 * n : 3] = pulled
-    return qf.Scene(
+    return qf.Model(
         name="block",
-        blank=blank,
-        fabric=fabric,
-        dim=3,
+        unknowns=unknowns,
+        sheets=[sheet],
         terms=[
-            Membrane(blank, fabric, 3),
-            Bending(blank, fabric),
+            Membrane(sheet),
+            Bending(sheet),
             *contacts,
-            *[Friction(contact, x0) for contact in contacts if fabric.friction],
+            *[Friction(contact) for contact in contacts if fabric.friction],
             ToolWeight(1e3 * GRAVITY * mass, 3 * n + 1),
         ],
         x0=x0,
@@ -307,11 +321,11 @@ def block(size: float, fabric: qf.Fabric) -> qf.Scene:
         rows=pull / 4,
         resting=1e3 * GRAVITY * mass,
         parameters={"size": size},
-        resized=lambda size: block(size, fabric),
     )
 
 
-def fillet(size: float, fabric: qf.Fabric) -> qf.Scene:
+@of_any_size
+def fillet(size: float, fabric: qf.Fabric) -> qf.Model:
     """A strip under a dead load, drawn over a quarter of a rod as thick as the elements are long.
 
     Contact between nodes is added where the mesh is coarser than the rod, as `forming` does.
@@ -333,9 +347,11 @@ def fillet(size: float, fabric: qf.Fabric) -> qf.Scene:
     )
     x0 = np.append(wrapped.ravel(), 0.0)
     rod = qf.Tool("rod", bar(radius), friction=fabric.friction)
-    contacts = [Contact(blank, fabric, rod, 3 * n)]
+    sheet = (unknowns := Unknowns()).sheet(blank, fabric, dim=3)
+    place = unknowns.add("rod", 1)
+    contacts = [Contact(sheet, rod, place.dofs)]
     if radius < blank.size * (1 - 1e-9):
-        contacts.append(Contact(blank, fabric, rod, 3 * n, at_edges(blank)))
+        contacts.append(Contact(sheet, rod, place.dofs, at_edges(blank)))
     loaded = np.flatnonzero(blank.nodes[:, 0] < 1e-9)
     pulled = np.flatnonzero(blank.nodes[:, 0] > length - 1e-9)
     fixed = np.zeros(len(x0), dtype=bool)
@@ -345,17 +361,16 @@ def fillet(size: float, fabric: qf.Fabric) -> qf.Scene:
         fixed[3 * pulled + axis] = True
     drive = np.zeros(len(x0))
     drive[3 * pulled + 2] = -1.0
-    return qf.Scene(
+    return qf.Model(
         name="fillet",
-        blank=blank,
-        fabric=fabric,
-        dim=3,
+        unknowns=unknowns,
+        sheets=[sheet],
         terms=[
-            Membrane(blank, fabric, 3),
-            Bending(blank, fabric),
+            Membrane(sheet),
+            Bending(sheet),
             *contacts,
-            EndLoad(loaded, load),
-            *[Friction(contact, x0) for contact in contacts if fabric.friction],
+            EndLoad(sheet, loaded, load),
+            *[Friction(contact) for contact in contacts if fabric.friction],
         ],
         x0=x0,
         fixed=fixed,
@@ -365,7 +380,6 @@ def fillet(size: float, fabric: qf.Fabric) -> qf.Scene:
         rows=pull / 16,
         resting=load,
         parameters={"size": size},
-        resized=lambda size: fillet(size, fabric),
     )
 
 
@@ -407,7 +421,7 @@ def not_snapped(result: qf.Result) -> str:
 
 def not_coulomb(result: qf.Result) -> str:
     """Once the block slips, its force is μ times the load, on two faces."""
-    limit = theory.strip_friction(result.scene.fabric.friction, BLOCK)
+    limit = theory.strip_friction(result.model.sheet.fabric.friction, BLOCK)
     off = abs(result.force - limit)
     return f"slips at {result.force:.4g} N, not {limit:.4g} N" if off > 0.01 * limit + 1e-3 else ""
 

@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import shapely
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 from scipy.interpolate import LinearNDInterpolator
@@ -14,9 +13,10 @@ from scipy.interpolate import LinearNDInterpolator
 import quasiform as qf
 from quasiform.draw.plot import COLOURS, FIRST, SECOND, STYLE, WIDTH
 from quasiform.energy.bending import Bending
-from quasiform.result.measures import disc, percentile
+from quasiform.net.edges import disc
+from quasiform.result.measures import percentile
 from quasiform.scenes import scene_file
-from quasiform.tools.shapes import flipped, round_opening, round_punch
+from quasiform.scenes.scene_file import Form, Region
 from validation.run import Outcome
 
 SHAPES, ORIENTATIONS = ("hemisphere", "tetrahedron", "box"), (0, 45)
@@ -175,14 +175,14 @@ def _hemisphere(
 ) -> scene_file.SceneFile:
     """The hemisphere test with other numbers; as they are, it is the built-in scene."""
     file = scene_file.load("hemisphere")
-    opening = round_opening(radius + gap, fillet)
-    shapes = {"punch": round_punch(radius), "die": opening, "holder": flipped(opening)}
+    opening = Form("round opening", (radius + gap, fillet))
+    shapes = {"punch": Form("round punch", (radius,)), "die": opening, "holder": opening}
     tools = [
-        replace(part, shape=shapes[part.role], mass=mass if part.role == "holder" else part.mass)
+        replace(part, geometry=shapes[part.role], mass=mass if part.role == "holder" else part.mass)
         for part in file.tools
     ]
-    outline = shapely.box(-side / 2, -side / 2, side / 2, side / 2)
-    return replace(file, tools=tools, outline=outline, travel=travel)
+    blank = Region("rectangle", (side, side))
+    return replace(file, tools=tools, blank=blank, travel=travel)
 
 
 def _changes() -> dict[str, tuple[dict[str, float], dict[str, float]]]:

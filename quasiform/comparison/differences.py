@@ -1,0 +1,304 @@
+"""Rows of a comparison: what two sheets and two histories differ in, each with its band.
+
+The difference is result minus reference. Where the reference has triangles it lives at the result's
+nodes, weighted by the area they stand for; where it is points only, at these, all alike. What each
+sheet has of its own (mean, percentile, maximum, means over areas) is of its triangles, as in
+summary.json, where both are known by triangle and compared whole; else of what is compared.
+Outlines are compared seen along z, at points a millimetre apart on both: their mean distance from
+the other one, and the largest (Hausdorff's). Forces are compared over the common travel, on the
+travels of both histories.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..checks import InputError
+from ..result.measures import percentile
+from ..result.sheet import FormedSheet
+from .mapping import ANGLE, WAYS, mapped, on_surface, way
+from .place import rim
+from .read import SAME, Side
+
+FloatArray = np.ndarray
+STEP = 1.0  # mm between the points of an outline
+SAME_BLANK = 0.02  # of their area: flat blanks that differ by more are two
+FEW = 10  # points in an area: with fewer their mean says little
+EARLY = 0.05  # of the largest internal energy: before, its ratio to the kinetic one says nothing
+
+
+@dataclass(frozen=True)
+class Row:
+    """One quantity of both.
+
+    Parameters
+    ----------
+    quantity, unit, standing : str
+        The standing is the reference's.
+    result, reference : float or None
+    difference : float
+        Result minus reference, or their distance where neither has a value of its own.
+    band : float, optional
+        What |difference| may be.
+    over : str
+        How many triangles or points of result and reference a mean over an area is of.
+    """
+
+    quantity: str
+    unit: str
+    result: float | None
+    reference: float | None
+    difference: float | None
+    standing: str
+    band: float | None = None
+    over: str = ""
+
+    @property
+    def held(self) -> bool | None:
+        """Whether the difference is within its band; None without one."""
+        if self.band is None or self.difference is None:
+            return None
+        return bool(abs(self.difference) <= self.band)
+
+    @property
+    def verdict(self) -> str:
+        """Whether it is within its band, as a word; empty without one."""
+        return {None: "", True: "held", False: "MISSED"}[self.held]
+
+    def numbers(self, form: str) -> list[str]:
+        """Result, reference and difference as text, empty where there is none."""
+        values = (self.result, self.reference, self.difference)
+        return ["" if value is None else format(value, form) for value in values]
+
+
+class Own(NamedTuple):
+    """Of result and reference: shear angles, areas and flat places of what they are known by."""
+
+    what: str
+    values: list[tuple[FloatArray, FloatArray, FloatArray | None]]
+
+
+@dataclass
+class Rows:
+    """Rows in the making, with the standing of the reference."""
+
+    standing: str
+    notes: list[str]
+    rows: list[Row] = field(default_factory=list)
+
+    def both(self, quantity: str, unit: str, a: float, b: float, **more: Any) -> None:
+        """Add a quantity that result and reference have."""
+        a, b = float(a), float(b)
+        self.rows.append(Row(quantity, unit, a, b, a - b, self.standing, **more))
+
+    def off(self, quantity: str, unit: str, distance: float, band: float | None = None) -> None:
+        """Add a distance between the two."""
+        self.rows.append(Row(quantity, unit, None, None, float(distance), self.standing, band))
+
+    # The sheets
+
+    def angles(
+        self, own: Own, field: FormedSheet, gamma: FloatArray, word: str, band: float | None
+    ) -> None:
+        """Add the shear angles of both, and their difference at the points that are compared."""
+        compared = np.isfinite(gamma[0])
+        w, off = field.weights[compared], (gamma[0] - gamma[1])[compared]
+        far = np.abs(off)
+        for name, measure in (
+            ("mean", lambda v, w: np.average(v, weights=w)),
+            ("99th percentile", lambda v, w: percentile(v, w, 0.99)),
+            ("maximum", lambda v, _: v.max()),
+        ):
+            self.both(f"{name} of {word}", "deg", *(measure(v, w) for v, w, _ in own.values))
+        for name, value, limit in (
+            ("mean", np.average(off, weights=w), None),
+            ("mean absolute", np.average(far, weights=w), None),
+            ("root mean square", np.average(off**2, weights=w) ** 0.5, None),
+            ("95th percentile", percentile(far, w, 0.95), band),
+            ("largest", far.max(), None),
+        ):
+            self.off(f"difference of {word}, {name}", "deg", value, limit)
+
+    def areas(
+        self, own: Own, areas: Mapping[str, tuple[tuple[float, float], float]], band: float | None
+    ) -> None:
+        """Add the means over named areas of the flat blank."""
+        if any(X is None for *_, X in own.values):
+            words = "no means over areas: flat coordinates are not known there"
+            self.notes += [words] if areas else []
+            return
+        few = []
+        for name, (centre, radius) in areas.items():
+            inside = [np.linalg.norm(X - centre, axis=1) <= radius for *_, X in own.values]
+            counts = [int(one.sum()) for one in inside]
+            if not min(counts):
+                self.notes.append(f"area {name}: no {own.what} of both lies in it")
+                continue
+            means = [
+                np.average(np.abs(values[one]), weights=w[one])
+                for (values, w, _), one in zip(own.values, inside, strict=True)
+            ]
+            over = " and ".join(map(str, dict.fromkeys(counts)))
+            over += f" {own.what}" + "s" * (max(counts) > 1)
+            self.both(f"mean |γ| in area {name}", "deg", *means, band=band, over=over)
+            if min(counts) < FEW:
+                few.append(f"{name} ({over})")
+        if few:
+            self.notes.append(f"means of few say little of an area: {', '.join(few)}")
+
+    def outlines(self, sheet: FormedSheet, theirs: FormedSheet, band: float | None) -> None:
+        """Add the distances of the outlines, and the areas within."""
+        import shapely
+
+        mine, other = rim(sheet), rim(theirs)
+        if mine is None or other is None:
+            return
+        found, largest = [], 0.0
+        for one, goal in [(other, mine), (mine, other)][: 1 + other.is_closed]:  # or a part of it
+            along = shapely.line_interpolate_point(one, np.arange(0.0, one.length, STEP))
+            found.append(shapely.distance(along, goal))
+            corners = shapely.points(shapely.get_coordinates(one))
+            largest = max(largest, found[-1].max(), shapely.distance(corners, goal).max())
+        self.off("distance of the outlines, mean", "mm", np.mean(np.concatenate(found)))
+        self.off("distance of the outlines, largest", "mm", largest, band)
+        if mine.is_closed and other.is_closed:
+            a, b = (1e-2 * shapely.Polygon(line).area for line in (mine, other))
+            self.both("area within the outline", "cm²", a, b)
+
+    # The histories
+
+    def forces(self, forces: FloatArray | None, band: float | None) -> None:
+        """Add the forces at the end of the common travel and along it (`common_forces`)."""
+        if forces is None:
+            return
+        s, mine, theirs = forces
+        a, b = mine[-1], theirs[-1]
+        self.both(f"force at {s[-1]:.6g} mm", "N", a, b)
+        if b:
+            self.off("force at the end, relative", "%", 100 * (a / b - 1), band)
+        largest = np.abs(theirs).max()
+        if len(s) > 1 and largest:
+            mean_square = np.trapezoid((mine - theirs) ** 2, s) / (s[-1] - s[0])
+            words = "force along the travel, root mean square of the largest"
+            self.off(words, "%", 100 * np.sqrt(mean_square) / largest, band)
+
+    def energies(self, name: str, side: Side, travel: float | None) -> None:
+        """Add the ratio of kinetic to internal energy of an explicit run: at the end, at most."""
+        if not {"kinetic", "internal"} <= set(side.history):
+            return
+        kinetic, internal = side.history["kinetic"], side.history["internal"]
+        known = internal > EARLY * internal.max()
+        if travel is not None and "travel" in side.history:
+            known &= side.history["travel"] <= travel * (1 + SAME)
+        if not known.any():
+            return
+        ratio = 100 * kinetic[known] / internal[known]
+        for words, value in (("at the end", ratio[-1]), ("at most", ratio.max())):
+            quantity = f"kinetic by internal energy of the {name}, {words}"
+            row = Row(quantity, "%", None, None, None, self.standing)
+            self.rows.append(replace(row, **{name: float(value)}))
+
+
+def matched(
+    sheet: FormedSheet, theirs: FormedSheet, by: str, within: float | None, notes: list[str]
+) -> tuple[FormedSheet, FloatArray, float]:
+    """Where the difference lives, both shear angles there, and the share that is compared."""
+    by = way(by, sheet, theirs)
+    if len(theirs.triangles):
+        field, words = sheet, ("result", "the area")
+        gamma = np.stack([sheet.point_fields[ANGLE], mapped(theirs, sheet, by, within)])
+    else:
+        field, words = theirs, ("reference", "them")
+        gamma = np.stack([mapped(sheet, theirs, by, within), theirs.point_fields[ANGLE]])
+        if field.flat is None and sheet.flat is not None:  # for the means over areas
+            field = replace(field, flat=on_surface(sheet.flat, sheet, field.points)[0])
+    compared, weights = np.isfinite(gamma).all(0), field.weights
+    if not compared.any():
+        raise InputError(
+            "no point of the reference lies on the result: is it in the same place and unit? "
+            "(align, scale)"
+        )
+    share = float(weights[compared].sum() / weights.sum())
+    notes.append(
+        f"matched {WAYS[by]}, at the {words[0]}'s points; {100 * share:.1f} % of {words[1]} "
+        "compared"
+    )
+    return field, np.where(compared, gamma, np.nan), share
+
+
+def own_values(
+    sheets: tuple[FormedSheet, FormedSheet],
+    field: FormedSheet,
+    gamma: FloatArray,
+    whole: bool,
+    notes: list[str],
+) -> Own:
+    """Shear angles of both, of their triangles if these are known and compared as a whole."""
+    whole = whole and all(ANGLE in sheet.cell_fields for sheet in sheets)
+    source = (
+        "of each sheet's own triangles, as in summary.json (there of |γ| at the end)"
+        if whole
+        else "at the points compared alone: not those of summary.json"
+    )
+    notes.append(
+        "differences at points, where a sheet of triangles has the mean of those around; "
+        f"means, percentile, maxima and areas {source}"
+    )
+    if whole:
+        flat = [None if s.flat is None else s.flat[s.triangles].mean(1) for s in sheets]
+        fields = [(sheet.cell_fields[ANGLE], sheet.flat_areas) for sheet in sheets]
+        return Own("triangle", [(*f, X) for f, X in zip(fields, flat, strict=True)])
+    compared = np.isfinite(gamma[0])
+    X = None if field.flat is None else field.flat[compared]
+    return Own("point", [(g[compared], field.weights[compared], X) for g in gamma])
+
+
+def other_blank(sheet: FormedSheet, theirs: FormedSheet) -> list[str]:
+    """Warn where the flat sheets do not cover the same."""
+    import shapely
+
+    sheets = (sheet, theirs)
+    if any(one.flat is None or not len(one.triangles) for one in sheets):
+        return []
+    blanks = [shapely.make_valid(shapely.Polygon(one.flat[one.loops[0]])) for one in sheets]
+    share = blanks[0].symmetric_difference(blanks[1]).area / blanks[0].union(blanks[1]).area
+    if share <= SAME_BLANK:
+        return []
+    sizes = []
+    for blank in blanks:
+        low, high = np.array(blank.bounds).reshape(2, 2)
+        size, middle = high - low, 0.5 * (low + high) + 0.0
+        sizes.append("{:.4g} x {:.4g} mm around ({:.3g}, {:.3g})".format(*size, *middle))
+    return [
+        f"the flat blanks differ on {100 * share:.0f} % of what they cover (result {sizes[0]}, "
+        f"reference {sizes[1]}): another part, another place (--align), a part of it (--mirror) or "
+        "another unit (--scale)?"
+    ]
+
+
+def common_forces(mine: Side, other: Side, travel: float | None) -> FloatArray | None:
+    """(3, k) common travels and the forces of both there; one column where it is one number."""
+    if not all({"travel", "force"} <= set(side.history) for side in (mine, other)):
+        return None
+    curves = []
+    for side in (mine, other):
+        order = np.argsort(side.history["travel"], kind="stable")
+        curves.append(np.stack([side.history[name][order] for name in ("travel", "force")]))
+    low = max(curve[0, 0] for curve in curves)
+    high = min(curve[0, -1] for curve in curves)
+    slack = SAME * max(abs(high), 1.0)
+    if travel is not None:
+        high = min(high, travel)
+    if low > high + slack:
+        raise InputError(
+            f"travels do not overlap: the force of {mine.name} is known from {curves[0][0, 0]:g} "
+            f"to {curves[0][0, -1]:g} mm, that of {other.name} from {curves[1][0, 0]:g} to "
+            f"{curves[1][0, -1]:g} mm"
+        )
+    s = np.concatenate([curve[0] for curve in curves])
+    s = np.unique(np.concatenate([s[(s >= low) & (s <= high)], [high]]))
+    return np.stack([s, *(np.interp(s, *curve) for curve in curves)])

@@ -1,0 +1,224 @@
+"""What commands print."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from io import StringIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+from rich.table import Table
+
+if TYPE_CHECKING:
+    from ..identification import Identification
+    from ..identification.campaign import Campaign
+    from ..model import Model
+    from ..result.run import Result
+
+WIDE = 2.0  # degrees: an error of the shear angle that is pointed out
+SPREAD = ("force_N", "shear_angle_deg", "shear_angle_mean_deg")  # shown of perturbed starts
+
+
+def say(*lines: str) -> None:
+    """Print; a reader that has closed the pipe (`| head`) does not end the run."""
+    shown = "".join(c if c.isprintable() or c == "\n" else ascii(c)[1:-1] for c in "\n".join(lines))
+    encoding = sys.stdout.encoding or "utf-8"
+    try:
+        print(shown.encode(encoding, "backslashreplace").decode(encoding), flush=True)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def table(rows: Iterable[Iterable[object]], indent: int = 0) -> str:
+    """Columns of text; cells are folded on a terminal only."""
+    grid = Table.grid(padding=(0, 2, 0, 0))
+    for number, row in enumerate(rows):
+        cells = [str(cell) for cell in row]
+        if not number:
+            for i in range(len(cells)):
+                grid.add_column(no_wrap=i < len(cells) - 1)
+        grid.add_row(*cells)
+    width = None if sys.stdout.isatty() else 10_000
+    page = Console(file=StringIO(), width=width, markup=False, highlight=False, emoji=False)
+    with page.capture() as drawn:
+        page.print(grid)
+    return "\n".join(" " * indent + line.rstrip() for line in drawn.get().splitlines())
+
+
+def files(folder: Path, names: Sequence[str]) -> str:
+    """Which of the files were written."""
+    return f"files in {folder}: {', '.join(name for name in names if (folder / name).exists())}"
+
+
+def notes(found: Iterable[str], general: Collection[str] = (), where: str = "") -> list[str]:
+    """Notes of a hand-over; those that are true of every one are counted only."""
+    lines = [f"  note: {note}" for note in found if note not in general]
+    if general:
+        lines.append(f"  and {len(general)} notes true of every such export, in {where}")
+    return lines
+
+
+def number(value: float, digits: int = 4) -> str:
+    """A number to some significant digits, without an exponent where people write none.
+
+    Examples
+    --------
+    >>> number(112.3, 2), number(0.01234), number(123456.0)
+    ('110', '0.01234', '123500')
+    """
+    return f"{float(f'{value:.{digits}g}'):.15g}"
+
+
+def describe(model: Model) -> str:
+    """The model: its size, what is in it and what was left out, and why."""
+    blank = model.sheet.blank
+    return "\n".join(
+        [
+            f"{model.name}: {len(blank.nodes)} nodes, {len(blank.triangles)} triangles, "
+            f"{(~model.fixed).sum()} dofs, travel {model.travel:g} mm",
+            f"  fabric: {model.sheet.fabric.name}",
+            *(f"  {entry}: {why}" for entry, why in model.description),
+        ]
+    )
+
+
+def report(result: Result, seconds: float) -> str:
+    """Key numbers of a run, with their errors and what they are worth."""
+    summary, travel = result.summary(), result.model.travel
+    rows = _numbers(summary) | _errors(result, summary) | _worth(summary)
+    rows["wall time"] = f"{summary['wall_s']:.1f} s"
+    rows["total time"] = f"{seconds:.1f} s, with error estimate and files"
+    reason = f": {summary['reason']}" if summary["reason"] else ""
+    reached = f"{number(summary['reached_mm'])} of {number(travel)} mm"
+    return f"{summary['status']} at {reached}{reason}\n{table(rows.items(), 2)}"
+
+
+def _numbers(summary: Mapping[str, Any]) -> dict[str, str]:
+    errors = {name: error for name, error in summary["estimated_errors"].items() if error}
+    off = {name: f" ± {number(error, 2)}" for name, error in errors.items()}
+    gamma = summary["shear_angle_deg"]
+    rows = {
+        "force": f"{number(summary['force_N'])}{off.get('force_N', '')} N",
+        "shear angle": f"max {gamma['max']:.2f}, p99 {gamma['p99']:.2f}"
+        f"{off.get('shear_angle_deg', '')}, mean {gamma['mean']:.2f}"
+        f"{off.get('shear_angle_mean_deg', '')} deg",
+    }
+    for row, key, error, unit in (
+        ("draw-in", "draw_in_mm", "draw_in_{}_mm", "mm"),
+        ("areas", "areas", "area_{}_deg", "deg (mean shear angle)"),
+    ):
+        if summary.get(key):
+            rows[row] = ", ".join(
+                f"{name} {'none' if value is None else f'{value:.2f}'}"
+                f"{off.get(error.format(name), '')}"
+                for name, value in summary[key].items()
+            )
+            rows[row] += f" {unit}"
+    return rows
+
+
+def _errors(result: Result, summary: Mapping[str, Any]) -> dict[str, str]:
+    rows = {}
+    if not any(error is not None for error in summary["estimated_errors"].values()):
+        why = "no coarser mesh of this scene came to the same end"
+        if result.reason or result.collapse:
+            why = "the run stopped early" if result.reason else "the sheet has collapsed"
+        rows["error estimate"] = f"none: {why}"
+    elif summary["error_estimate"]["shear_angle_deg"] > WIDE:
+        finer = "--accuracy 1 or a smaller" if result.model.contacts else "a smaller"
+        rows["error estimate"] = f"large: {finer} --size reduces it"
+    doubtful = {k: v for k, v in summary["doubtful_share"].items() if v >= 0.005}
+    if doubtful:
+        shares = (f"{name.replace('_', ' ')} {share:.0%}" for name, share in doubtful.items())
+        rows["doubtful"] = f"{', '.join(shares)} of the area"
+    if summary["collapse"]:
+        rows["collapse"] = (
+            "from {travel_mm:.4g} mm on, first at X = ({at[0]:.1f}, {at[1]:.1f}) mm, "
+            "{shear_angle_deg:.1f} deg".format(**summary["collapse"])
+        )
+    return rows
+
+
+def _worth(summary: Mapping[str, Any]) -> dict[str, str]:
+    rows = {}
+    if summary["one_of_many"]:
+        rows["one of many"] = summary["one_of_many"]
+    if spread := summary["spread"]:
+        scattered = [name for name, entry in spread.items() if not entry["robust"]]
+        rows["perturbed"] = ", ".join(
+            f"{name} {number(spread[name]['low'])} to {number(spread[name]['high'])}"
+            for name in spread
+            if name in SPREAD
+        )
+        rows["perturbed"] += f"; scattered: {', '.join(scattered)}" if scattered else "; all robust"
+    if summary["path_size_mm"]:
+        rows["path"] = f"followed at size {summary['path_size_mm']:g} mm"
+    certified = summary["certified"]  # a boolean, or the reasons against it as text
+    certificate = summary.get("certificate") or {"reasons": [certified]}
+    if "converged" in certificate:
+        rows["converged"] = "yes" if certificate["converged"] else "no"
+    rows["certified"] = "yes" if certified is True else f"no: {'; '.join(certificate['reasons'])}"
+    if summary.get("trust"):
+        rows["trust"] = "; ".join(summary["trust"])
+    if work := summary.get("factorisations"):
+        rows["factorisations"] = ", ".join(f"{times} at {mesh}" for mesh, times in work.items())
+    rows["linear solves"] = (
+        f"{summary['linear_solves']:.0f} of the finest mesh ({summary['solver']['linear']}) "
+        f"in {summary['increments']} increments"
+    )
+    return rows
+
+
+def campaign(campaign: Campaign) -> str:
+    """Tests of a campaign, and how they will be used."""
+    import numpy as np
+
+    from ..identification.campaign import METHODS
+
+    fabric, origins = campaign.fabric, campaign.fabric.provenance
+    rows = [
+        f"{campaign.name}: {METHODS[campaign.method] if campaign.shear else 'cantilever tests'}"
+    ]
+    if campaign.shear:
+        rows.append(f"  thickness {fabric.thickness:g} mm ({origins['thickness']})")
+    if campaign.bending:
+        rows.append(f"  areal weight {fabric.areal_weight:g} g/m² ({origins['areal_weight']})")
+    for test in campaign.shear:
+        gamma = np.degrees(test.forces(fabric.thickness).angles[0])
+        rows.append(
+            f"  {test.name}: {len(gamma)} rows, shear angle {gamma.min():.1f} to "
+            f"{gamma.max():.1f} deg, force to {number(test.curve.force.max())} "
+            + ("N/mm" if test.curve.per_length else "N")
+        )
+        rows += [f"    {notice}" for notice in test.curve.notices]
+    for family, stiffness in campaign.bending.items():
+        rows.append(f"  cantilever, {family}: {number(stiffness.value)} N mm")
+    return "\n".join(rows)
+
+
+def identified(found: Identification) -> str:
+    """Parameters that were identified, with their intervals, and the notes."""
+    lines = []
+    if found.curve is not None:
+        misfit = found.fabric.provenance["force_misfit_percent"]
+        lines.append(
+            f"  tested from {found.curve.low:.1f} to {found.curve.high:.1f} degrees of shear, "
+            f"forces within {misfit:g} % (root mean square)"
+        )
+    if found.fitted is not None:
+        first, third = found.fitted.stages
+        lines.append(f"  first stage to {first:.1f} degrees, third from {third:.1f} degrees")
+    read = {notice for test in found.campaign.shear for notice in test.curve.notices}
+    lines += [f"  note: {notice}" for notice in found.notices if notice not in read]
+    rows = [
+        (p.name, number(p.value, 5), p.unit, _interval(p.low, p.high), p.state)
+        for p in found.parameters
+    ]
+    return "\n".join(["identified, with 95 % intervals", table(rows, 2), *lines])
+
+
+def _interval(low: float, high: float) -> str:
+    return f"{number(low)} to {number(high)}" if low == low else "-"

@@ -1,0 +1,124 @@
+"""What an energy is: pure functions of the unknowns and a state that the run owns.
+
+    dofs                           (n_stencils, n_local)            numbers in x
+    energy(x, state)               (n_stencils,)                    mJ
+    gradient(x, state)             (n_stencils, n_local)            N
+    hessian(x, state, convex)      (n_stencils, n_local, n_local)   N/mm, symmetric
+
+Evaluating changes nothing. A term with memory has a state, a frozen dataclass of arrays:
+
+    initial(x)                     -> state    at the start of a run; None: no memory
+    refresh(x, state)              -> state    lagged values, between Newton's solves
+    commit(x, state)               -> state    after a converged increment
+    dissipated(before, after, x)   -> float    mJ lost between two committed states, the last at x
+    carried(state, old, new)       -> state    onto another mesh
+
+Reset, rejected increment, checkpoint, transfer to a finer mesh and energy account are written once,
+in `solve`, for every term with these functions.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+
+from ..net.transfer import interpolated
+from ..unknowns import Unknowns
+
+FloatArray = np.ndarray
+IntArray = np.ndarray
+
+
+class Term:
+    """One energy of the sum, without memory unless it says otherwise.
+
+    Gradients and Hessians that are kept with the stencils as the last axis in memory are summed
+    without a copy.
+    """
+
+    name: str = "term"
+    dofs: IntArray
+    quadratic: bool = False
+    """The Hessian is the same everywhere: it is evaluated and summed once."""
+    selective: bool = False
+    """Few stencils act at a time: `active(x, state)` gives their numbers, and `hessian` takes these
+    as a last argument `rows`."""
+    foresees: bool = False
+    """`hessian` takes a last argument `stress`, that which `foreseen_stress(x, dx)` returned."""
+    mixed: tuple[str, ...] = ()
+    """Fields of the state that `refresh` brings to a fixed point, and that cannot be negative: the
+    solver may extrapolate them."""
+
+    def stencils(self, state: Any) -> IntArray:
+        """(n_stencils, n_local) numbers in x; another table where the stencils change."""
+        return self.dofs
+
+    def energy(self, x: FloatArray, state: Any) -> FloatArray:
+        raise NotImplementedError
+
+    def gradient(self, x: FloatArray, state: Any) -> FloatArray:
+        raise NotImplementedError
+
+    def hessian(self, x: FloatArray, state: Any, convex: bool) -> FloatArray:
+        raise NotImplementedError
+
+    def initial(self, x: FloatArray) -> Any:
+        return None
+
+    def refresh(self, x: FloatArray, state: Any) -> Any:
+        return state
+
+    def commit(self, x: FloatArray, state: Any) -> Any:
+        return state
+
+    def dissipated(self, before: Any, after: Any, x: FloatArray) -> float:
+        return 0.0
+
+    def carried(self, state: Any, old: Standing | None, new: Standing) -> Any:
+        """Carry the state to another mesh: its arrays, one row a stencil, are interpolated.
+
+        Parameters
+        ----------
+        state : dataclass of arrays or None
+            On the other mesh; None where the term is not there.
+        old, new : Standing
+            This term on the other mesh (None where it is not there), and here.
+        """
+        if state is None or old is None:
+            return self.initial(new.x)
+        values = {f.name: getattr(state, f.name) for f in fields(state)}
+        return replace(
+            state,
+            **{
+                name: interpolated(old.places, value, new.places)
+                for name, value in values.items()
+                if isinstance(value, np.ndarray) and len(value) == len(old.places)
+            },
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Standing:
+    """A term on one mesh, at the end of a run.
+
+    Parameters
+    ----------
+    term : Term
+    unknowns : Unknowns
+    state : dataclass of arrays or None
+    x, before : (n_dofs,) arrays, mm
+        At the end, and one increment earlier.
+    """
+
+    term: Term
+    unknowns: Unknowns
+    state: Any
+    x: FloatArray
+    before: FloatArray
+
+    @property
+    def places(self) -> FloatArray:
+        """(n_stencils, 2) mean flat place of the unknowns of each stencil, mm."""
+        return np.nanmean(self.unknowns.places()[self.term.stencils(self.state)], axis=1)

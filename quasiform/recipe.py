@@ -1,0 +1,178 @@
+"""A recipe: all that a model is built from, so that the same one is built at any size, anywhere.
+
+It is frozen, hashable, and can be written down and read back: the kind of scene, what was given
+for it, and the changes that a user has made, each a function of the model.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import singledispatch
+from hashlib import sha256
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from .checks import InputError
+from .fabric import Fabric
+from .fingerprint import fingerprint
+from .model import Model
+
+Builder = Callable[..., Model]
+Change = Callable[[Model], None]
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What a model is built from.
+
+    Parameters
+    ----------
+    builder : callable
+        Called with `size`, `like` (a model of the same recipe, whose tools it may take over) and
+        all that is given by name.
+    given : tuple of (name, value)
+        Numbers, text, None, and what `plain` can write: paths, a `Fabric`, a `SceneFile`.
+    size : float
+        Size that was asked for, mm.
+    changes : tuple of callables
+        Called one after the other with the model, once it is built.
+    """
+
+    builder: Builder
+    given: tuple[tuple[str, Any], ...]
+    size: float
+    changes: tuple[Change, ...] = ()
+
+    def build(self, size: float | None = None, like: Model | None = None) -> Model:
+        """Build the model.
+
+        Parameters
+        ----------
+        size : float, optional
+            Of the mesh, mm; that which was asked for if not given.
+        like : Model, optional
+            A model of this recipe, whose tools may be used again.
+
+        Raises
+        ------
+        InputError
+            As the builder does.
+        """
+        model = self.builder(
+            size=self.size if size is None else size, like=like, **dict(self.given)
+        )
+        for change in self.changes:
+            change(model)
+        model.recipe = self
+        model.built = fingerprint(model)
+        return model
+
+    def including(self, change: Change) -> Recipe:
+        """Return the recipe with one more change."""
+        return replace(self, changes=(*self.changes, change))
+
+    def written(self) -> dict[str, Any]:
+        """Return the recipe as plain numbers and text, for JSON.
+
+        Raises
+        ------
+        InputError
+            If a change cannot be found by its name in another process.
+        """
+        return {
+            "builder": reference(self.builder),
+            "given": {name: plain(value) for name, value in self.given},
+            "size": self.size,
+            "changes": [reference(change) for change in self.changes],
+        }
+
+    @staticmethod
+    def read(written: Mapping[str, Any]) -> Recipe:
+        """Return the recipe that was written down.
+
+        Raises
+        ------
+        InputError
+            If it is not one, or a change is not there any more.
+        """
+        try:
+            given = tuple((name, _live(value)) for name, value in written["given"].items())
+            changes = tuple(_found(name) for name in written["changes"])
+            return Recipe(_found(written["builder"]), given, float(written["size"]), changes)
+        except (KeyError, TypeError, AttributeError, ValueError, ImportError) as error:
+            if isinstance(error, InputError):
+                raise
+            raise InputError(f"not a recipe of a model: {error}") from error
+
+    def files(self) -> dict[str, str]:
+        """SHA-256 of every file that it names, by path."""
+        paths = []
+        for _, value in self.given:
+            paths += [value] if isinstance(value, Path) else getattr(value, "files", list)()
+        return {str(path): sha256(Path(path).read_bytes()).hexdigest() for path in paths}
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of all of it, with the contents of the files that it names."""
+        content = json.dumps([self.written(), self.files()], sort_keys=True)
+        return sha256(content.encode()).hexdigest()
+
+    def __hash__(self) -> int:
+        return hash((self.builder, repr(self.given), self.size, self.changes))
+
+
+def built(builder: Builder, size: float, **given: Any) -> Model:
+    """Build a model with its recipe."""
+    return Recipe(builder, tuple(sorted(given.items())), size).build()
+
+
+def reference(function: Callable[..., Any]) -> str:
+    """Module and name of a function, by which another process finds it.
+
+    Raises
+    ------
+    InputError
+        If no other process would.
+    """
+    module, name = function.__module__, function.__qualname__
+    if module == "__main__" or "<" in name:
+        raise InputError(
+            f"'{name}' cannot be found from another process: define it in a module of its own"
+        )
+    return f"{module}:{name}"
+
+
+def _found(reference: str) -> Callable[..., Any]:
+    module, _, name = reference.partition(":")
+    found: Any = import_module(module)
+    for part in name.split("."):
+        found = getattr(found, part)
+    if not callable(found):
+        raise InputError(f"'{reference}' is not a function")
+    return found
+
+
+@singledispatch
+def plain(value: Any) -> Any:
+    """Return a given value as numbers and text; register a function for a class of your own.
+
+    It returns {"read": reference of the function that reads it back, "from": numbers and text}.
+    """
+    return value
+
+
+@plain.register
+def _(value: Path) -> dict[str, Any]:
+    return {"read": reference(Path), "from": str(value)}
+
+
+@plain.register
+def _(value: Fabric) -> dict[str, Any]:
+    return {"read": reference(Fabric.read), "from": value.written()}
+
+
+def _live(value: Any) -> Any:
+    return _found(value["read"])(value["from"]) if isinstance(value, dict) else value

@@ -1,0 +1,142 @@
+"""Whether the end of a run is an equilibrium, and what limits the numbers read off it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .measures import LIFTED
+from .outcome import Outcome
+
+RESIDUAL = 1e-3  # of the driving force
+BALANCE = 1e-2  # of the work done
+PENETRATION = 0.03  # of the thickness
+WIDE = 0.2  # of a value: a mesh error beyond this limits the trust in it
+SHARE = 0.005  # of the area: less is not reported
+WRINKLED = "wrinkled, one of many states: perturbed starts show what is robust"
+ROBUST = {"robust": True}  # a quantity without perturbed runs
+LIMITED = {
+    "beyond_identified_range": "sheared beyond {range:g}°, the tested range of the law",
+    "unstable_in_shear": "unstable in shear: bands may form",
+    "rovings_may_slip": "sheared so unevenly that rovings may slip",
+}
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """Verdict on the end of a run; true if it is certified.
+
+    Parameters
+    ----------
+    converged : bool
+        Residual, pivots and energy balance are as they should be at an equilibrium.
+    certified : bool
+        Converged, and nothing else speaks against the state.
+    reasons : tuple of str
+        Why it is not certified.
+    figures : dict of name to float
+        The numbers behind it: residual_relative, negative_pivots, energy_balance_relative,
+        stabilisation_work_relative, penetration_mm, penetration_allowed_mm, flange_lift_mm.
+
+    Examples
+    --------
+    >>> bool(Certificate(True, False, ("collapsed from 20 mm on",), {}))
+    False
+    """
+
+    converged: bool
+    certified: bool
+    reasons: tuple[str, ...]
+    figures: dict[str, float]
+
+    def __bool__(self) -> bool:
+        return self.certified
+
+    def __str__(self) -> str:
+        return "; ".join(self.reasons) or "certified"
+
+
+def certify(result: Outcome) -> Certificate:
+    """Check the end of a run.
+
+    Parameters
+    ----------
+    result : Outcome
+    """
+    model, pivots = result.model, result.negative_pivots
+    figures = {
+        "residual_relative": result.residual,
+        "negative_pivots": np.nan if pivots is None else float(pivots),
+        "energy_balance_relative": result.energy_balance,
+        "stabilisation_work_relative": result.stabilisation,
+        "penetration_mm": result.max_penetration,
+        "penetration_allowed_mm": PENETRATION * model.sheet.fabric.thickness,
+        "flange_lift_mm": result.flange_lift,
+    }
+    depth, allowed = figures["penetration_mm"], figures["penetration_allowed_mm"]
+    given, own = result.settings.get("increment"), model.increment
+    scattered = [
+        name for name in result.quantities if not result.spread.get(name, ROBUST)["robust"]
+    ]
+    collapse = f"{result.collapse['travel_mm']:.4g}" if result.collapse else ""
+    open_balance = f"energy balance open by {100 * result.energy_balance:.1f} %"
+    steps = f"friction follows its path in increments of {own:g} mm, not {given or 0:g}"
+    too_long = given and model.frictions and given > own * (1 + 1e-6)
+    unsolved = {  # what is said: whether it is so
+        f"residual {result.residual:.1e} of the driving force": not result.residual < RESIDUAL,
+        "no pivots from the linear solver": pivots is None,
+        f"{pivots} negative pivots of the tangent": bool(pivots),
+        f"{open_balance}, {100 * BALANCE:g} % allowed": result.energy_balance > BALANCE,
+    }
+    doubtful = {
+        f"penetration {depth:.4f} mm at a node, {allowed:.4f} allowed": depth > allowed,
+        f"collapsed from {collapse} mm on": bool(collapse),
+        steps: too_long,
+        f"perturbed starts scatter in {', '.join(scattered)}": bool(scattered),
+        WRINKLED: not result.spread and result.wrinkled,
+    }
+    checks = {"stopped early": bool(result.reason)} | unsolved | doubtful
+    reasons = tuple(words for words, so in checks.items() if so)
+    return Certificate(not any(unsolved.values()), not reasons, reasons, figures)
+
+
+def one_of_many(result: Outcome) -> str:
+    """Why the state found is one of several; empty where nothing shows so."""
+    signs, snaps, lift = [], result.snaps, result.flange_lift
+    if saddles := result.rescues.get("saddle left", 0):
+        signs.append(f"{saddles} saddle{'s were' if saddles > 1 else ' was'} left on the way")
+    if snaps:
+        signs.append(
+            f"the sheet jumped {len(snaps)} time{'s' * (len(snaps) > 1)}, first near "
+            f"{snaps[0]['to_mm']:.4g} mm"
+        )
+    if lift > LIFTED * result.model.sheet.fabric.thickness:
+        signs.append(f"the flange lifts by {lift:.2f} mm")
+    if scattered := [name for name, entry in result.spread.items() if not entry["robust"]]:
+        signs.append(f"perturbed starts scatter in {', '.join(scattered)}")
+    return "; ".join(signs)
+
+
+def trust(result: Outcome) -> list[str]:
+    """What limits the numbers of a run, one sentence each.
+
+    Parameters
+    ----------
+    result : Outcome
+    """
+    found = [
+        f"the mesh error of {name} is {100 * error / abs(value):.0f} % of its value"
+        for name, value in result.quantities.items()
+        if (error := result.estimate.get(name)) and error > WIDE * abs(value) > 0
+    ]
+    areas = result.blank.areas / result.blank.areas.sum()
+    for reason, flag in result.doubts().items():
+        if reason in LIMITED and (share := areas @ flag) >= SHARE:
+            words = LIMITED[reason].format(range=result.model.sheet.fabric.shear_range)
+            found.append(f"{100 * share:.0f} % of the area is {words}")
+    if result.collapse:
+        found.append(f"collapsed from {result.collapse['travel_mm']:.4g} mm on")
+    if many := one_of_many(result):
+        found.append(f"one of many states: {many}")
+    return found

@@ -1,0 +1,284 @@
+"""The states that a run went through, and what is read off them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ..model import COLLAPSE, Model
+from ..net.blank import Blank
+from ..net.edges import disc
+from . import measures
+from .sheet import FormedSheet
+
+FloatArray = np.ndarray
+
+
+@dataclass(frozen=True)
+class State:
+    """One converged increment: travel, x, driving force of the whole (N), work so far, measures."""
+
+    travel: float
+    x: FloatArray
+    force: float
+    linear_solves: int
+    measures: dict[str, float]
+
+
+@dataclass(repr=False)
+class Outcome:
+    """A finished or stopped run; `Result` adds the verdict on it and its files.
+
+    The parameters are those of `Result`.
+    """
+
+    model: Model
+    states: list[State]
+    reason: str
+    wall_s: float
+    linear_solves: int
+    settings: dict[str, Any]
+    increments: int
+    rescues: dict[str, int]
+    residual: float
+    energy_balance: float
+    negative_pivots: int | None
+    stabilisation: float = 0.0
+    snaps: list[dict[str, float]] = field(default_factory=list)
+    collapse: dict[str, Any] | None = None
+    estimate: dict[str, float | None] = field(
+        default_factory=lambda: {"shear_angle_deg": None, "force_N": None}
+    )
+    shear_angle_error: FloatArray | None = None
+    spread: dict[str, dict[str, float | bool]] = field(default_factory=dict)
+    path: Outcome | None = None
+    factorisations: dict[str, int] = field(default_factory=dict)
+    memory: tuple[Any, ...] = ()
+    notes: list[tuple[str, str]] = field(default_factory=list)
+
+    def add_work(self, other: Outcome, failed: int = 0) -> None:
+        """Add the factorisations of another run, and of a failed try on this mesh."""
+        own = f"{self.model.size:g} mm"
+        counts = self.factorisations | {own: self.factorisations.get(own, 0) + failed}
+        for mesh, count in other.factorisations.items():
+            counts[mesh] = counts.get(mesh, 0) + count
+        self.factorisations = counts
+
+    @property
+    def status(self) -> str:
+        """Return "completed" or "stopped"."""
+        return "stopped" if self.reason else "completed"
+
+    @property
+    def blank(self) -> Blank:
+        """The whole flat blank in the user's axes (mirrored where a part was modelled)."""
+        return self.model.sheet.whole[0]
+
+    @property
+    def force(self) -> float:
+        """Driving force (punch or grip) at the end, N."""
+        return self.states[-1].force
+
+    @property
+    def description(self) -> list[tuple[str, str]]:
+        """What is modelled and what was left out, and why."""
+        if self.path is None:
+            return [*self.model.description, *self.notes]
+        why = (
+            f"only the end is solved at {self.model.size:g} mm; the forces along the travel come "
+            "from there (--size keeps one mesh)"
+        )
+        followed = (f"path on a mesh of {self.path.model.size:g} mm", why)
+        return [*self.model.description, *self.notes, followed]
+
+    @property
+    def followed(self) -> list[tuple[Outcome, int]]:
+        """Where the states along the travel are: those of the path, and the end on this mesh."""
+        path = self.path or self
+        return [*((path, i) for i in range(len(path.states) - 1)), (self, len(self.states) - 1)]
+
+    @property
+    def rows(self) -> list[State]:
+        """States along the travel."""
+        return [run.states[i] for run, i in self.followed]
+
+    @property
+    def history(self) -> dict[str, FloatArray]:
+        """Columns by name, one row an increment; `pandas.DataFrame(result.history)` takes it."""
+        travel, rows = self.model.travel_name, self.rows
+        columns = {travel: [s.travel for s in rows], "force_N": [s.force for s in rows]}
+        for name in self.model.measures:
+            columns[name] = [s.measures[name] for s in rows]
+        columns["linear_solves"] = [s.linear_solves for s in rows]
+        if self.path is not None:
+            columns["size_mm"] = [*[self.path.model.size] * (len(rows) - 1), self.model.size]
+        return {name: np.array(values) for name, values in columns.items()}
+
+    def positions(self, state: int = -1) -> FloatArray:
+        """(n_nodes, 3) positions of the whole sheet, mm."""
+        return self.model.sheet.whole_positions(self.states[state].x)
+
+    def shear_angles(self, state: int = -1) -> FloatArray:
+        """(n_triangles,) signed shear angle of the whole sheet, degrees."""
+        _, _, _, source, sign = self.model.sheet.whole
+        return np.degrees(self.model.membrane.shear_angle(self.states[state].x))[source] * sign
+
+    @property
+    def shear_angle(self) -> FloatArray:
+        """(n_triangles,) signed shear angle at the end, degrees."""
+        return self.shear_angles()
+
+    def sheet_at(self, state: int = -1) -> FormedSheet:
+        """Formed sheet of a state, with the fields by triangle and by node."""
+        blank = self.blank
+        return FormedSheet(
+            self.positions(state),
+            blank.triangles,
+            blank.nodes,
+            self.point_fields(state),
+            self.cell_fields(state),
+            travel=self.states[state].travel,
+        )
+
+    @property
+    def sheet(self) -> FormedSheet:
+        """Formed sheet at the end."""
+        return self.sheet_at()
+
+    def cell_fields(self, state: int = -1) -> dict[str, FloatArray]:
+        """Fields by triangle: shear_angle (degrees), warp, weft (unit vectors), E11, E22, S12."""
+        blank, membrane, x = self.blank, self.model.membrane, self.states[state].x
+        _, _, _, source, sign = self.model.sheet.whole
+        I4, _, I8 = membrane.invariants(x)
+        formed = FormedSheet(self.positions(state), blank.triangles, blank.nodes)
+        warp, weft = formed.fibres(np.array([blank.warp, blank.weft]))
+        end = state in (-1, len(self.states) - 1) and self.shear_angle_error is not None
+        return ({"shear_angle_error": self.shear_angle_error} if end else {}) | {
+            "shear_angle": self.shear_angles(state),
+            "warp": warp,
+            "weft": weft,
+            "E11": (0.5 * (I4 - 1.0))[source],
+            "E22": (0.5 * (I8 - 1.0))[source],
+            "S12": membrane.stress(x)[source, 0, 1] * sign,
+            "shear_stability": measures.shear_stability(membrane, x)[source],
+            "doubt": sum(
+                2**bit * flag.astype(float) for bit, flag in enumerate(self.doubts(state).values())
+            ),
+        }
+
+    def point_fields(self, state: int = -1) -> dict[str, FloatArray]:
+        """Fields by node: displacement (mm) and contact_pressure (MPa, summed over the tools)."""
+        model, source = self.model, self.model.sheet.whole[1]
+        X = np.pad(self.blank.nodes, ((0, 0), (0, 1)))
+        if model.sheet.dim == 3:
+            X[:, 2] = model.sheet.positions(model.x0)[source, 2]
+        force = np.zeros(len(model.sheet.blank.nodes))
+        for contact in model.contacts:
+            force += contact.nodal_force(self.states[state].x)
+        pressure = force / model.sheet.blank.node_areas
+        return {"displacement": self.positions(state) - X, "contact_pressure": pressure[source]}
+
+    def doubts(self, state: int = -1) -> dict[str, np.ndarray]:
+        """Triangles whose shear angle should not be trusted, by reason; bool (n_triangles,) each.
+
+        The cell field `doubt` adds 1, 2, 4, 8 for these in order.
+
+        Parameters
+        ----------
+        state : int
+            Which increment; the last one by default.
+        """
+        membrane, source = self.model.membrane, self.model.sheet.whole[3]
+        gamma = np.abs(self.shear_angles(state))
+        stability = measures.shear_stability(membrane, self.states[state].x)[source]
+        return {
+            "beyond_identified_range": gamma > self.model.sheet.fabric.shear_range,
+            "unstable_in_shear": stability < 0,
+            "collapsed": gamma > np.degrees(COLLAPSE),
+            "rovings_may_slip": (
+                measures.shear_gradient(self.blank, gamma) > measures.SLIP_GRADIENT
+            ),
+        }
+
+    def outline(self, state: int = -1) -> list[FloatArray]:
+        """Closed outline of the deformed blank, then those of its holes; (n, 3) points each, mm."""
+        positions = self.positions(state)
+        return [positions[loop] for loop in self.blank.outline]
+
+    @property
+    def flange_lift(self) -> float:
+        """How far the sheet leaves the flat faces of fixed tools at the end, mm."""
+        return measures.flange_lift(self.model.contacts, self.states[-1].x)
+
+    @property
+    def wrinkles(self) -> dict[str, float | None]:
+        """How far the sheet leaves flat faces (mm), its largest curvature (1/mm), and its waves.
+
+        The waves of each family of fibres off punch and die: how many lines, their wavelength (mm).
+        """
+        blank, source, *_ = self.model.sheet.whole
+        found = measures.wrinkles(self.model.terms, self.states[-1].x, blank, source)
+        return {"flange_lift_mm": self.flange_lift} | found
+
+    @property
+    def wrinkled(self) -> bool:
+        """Whether the flange is lifted and waves; on a coarse mesh it lifts beside a fillet too."""
+        if self.flange_lift <= measures.LIFTED * self.model.sheet.fabric.thickness:
+            return False
+        return any(self.wrinkles[f"waving_{family}_lines"] for family in ("warp", "weft"))
+
+    def resting_tools(self) -> dict[str, dict[str, float | list[float]]]:
+        """Lift (mm) and tilt (degrees) of each free tool, or the moment its guide takes (N mm)."""
+        return measures.resting_tools(self.model, self.states[-1].x, self.states[0].x)
+
+    @property
+    def max_penetration(self) -> float:
+        """Deepest penetration into a tool at the end, mm, at the nodes, where contact acts."""
+        return measures.max_penetration(self.model.contacts, self.states[-1].x)
+
+    @property
+    def chord_penetration(self) -> float:
+        """Deepest penetration at the middle of an element edge, mm: how far chords cut fillets."""
+        model, x = self.model, self.states[-1].x
+        middles = model.sheet.positions(x)[model.sheet.blank.mesh.facets.T].mean(1)
+        return measures.chord_penetration(model.contacts, x, middles, model.sheet.fabric.thickness)
+
+    @property
+    def draw_in(self) -> dict[str, float]:
+        """Inward motion of the middle of each edge at the end, mm, by direction."""
+        positions = self.positions()
+        return {name: edge.draw_in(positions) for name, edge in self.model.edges.items()}
+
+    @property
+    def areas(self) -> dict[str, float | None]:
+        """Mean |shear angle| of each named area at the end, degrees; None without a triangle."""
+        means: dict[str, float | None] = {}
+        for name, (centre, radius) in self.model.areas.items():
+            inside = disc(self.blank, centre, radius)
+            weight, gamma = self.blank.areas[inside], np.abs(self.shear_angle[inside])
+            means[name] = float(weight @ gamma / weight.sum()) if inside.any() else None
+        return means
+
+    @property
+    def quantities(self) -> dict[str, float]:
+        """Numbers of the end state whose error is estimated, by name."""
+        gamma, areas = np.abs(self.shear_angle), self.blank.areas
+        found = {
+            "shear_angle_deg": measures.percentile(gamma, areas, 0.99),
+            "force_N": self.force,
+            "shear_angle_mean_deg": float(areas @ gamma / areas.sum()),
+        }
+        found |= {f"area_{name}_deg": value for name, value in self.areas.items() if value}
+        return found | {f"draw_in_{name}_mm": value for name, value in self.draw_in.items()}
+
+    @property
+    def nodal_shear_angle(self) -> FloatArray:
+        """(n_nodes,) shear angle as the mean of the triangles around a node, degrees."""
+        flat = FormedSheet(None, self.blank.triangles, self.blank.nodes)
+        return flat.at_nodes(self.shear_angle)
+
+    def shear_angle_at(self, points: FloatArray) -> FloatArray:
+        """(n,) shear angle at (n, 2) points of the flat sheet, degrees; beyond it, the nearest."""
+        return measures.interpolated(self.blank.nodes, self.nodal_shear_angle, points)

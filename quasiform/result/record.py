@@ -1,0 +1,381 @@
+"""A run and its folder: summary, history and formed sheets along the travel, written and read.
+
+`summary.json` carries the number of its `format`. Folders of version 0.1.0 have none; they are
+converted as they are read: there `certified` was true or a text of reasons.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import xml.etree.ElementTree as ET
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..checks import InputError
+from ..scenes import scene_file
+from .sheet import FormedSheet, read_sheets
+
+if TYPE_CHECKING:
+    from ..model import Model
+
+FloatArray = np.ndarray
+FORMAT = 2
+NEEDED = {"point_fields": ("displacement",), "cell_fields": ("shear_angle", "warp", "weft")}
+
+
+class Sheets(Sequence[FormedSheet]):
+    """Formed sheets by travel, each made or read when it is asked for.
+
+    Parameters
+    ----------
+    travels : sequence of float
+        mm, ascending.
+    load : callable
+        Returns the sheet of a state by its number.
+    """
+
+    def __init__(self, travels: Sequence[float], load: Callable[[int], FormedSheet]) -> None:
+        self.travels = tuple(travels)
+        self._load = load
+        self._known: dict[int, FormedSheet] = {}
+
+    def __len__(self) -> int:
+        return len(self.travels)
+
+    def __getitem__(self, at: Any) -> Any:
+        numbers = range(len(self))[at]
+        if isinstance(numbers, range):
+            return Sheets([self.travels[k] for k in numbers], lambda k: self[numbers[k]])
+        if numbers not in self._known:
+            last = {k: sheet for k, sheet in self._known.items() if k == len(self) - 1}
+            self._known = {**last, numbers: self._load(numbers)}  # others would fill the memory
+        return self._known[numbers]
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """A run as its folder holds it.
+
+    Parameters
+    ----------
+    summary : dict
+        Contents of `summary.json`.
+    history : dict of heading to (k,) array
+        Columns of `history.csv`, the travel first.
+    sheets : Sheets
+        Those that were written, by travel; the end is the last one.
+    folder : path or None
+        None for a run that is not saved.
+    model : Model or None
+        What was solved; None for a run read from its folder.
+    gripped : (n,) bool array or None
+        Nodes of the last sheet that are held in all directions.
+    """
+
+    summary: dict[str, Any]
+    history: Mapping[str, FloatArray]
+    sheets: Sheets
+    folder: Path | None = None
+    model: Model | None = field(default=None, repr=False)
+    gripped: np.ndarray | None = field(default=None, repr=False)
+
+    @classmethod
+    def read(cls, folder: str | Path) -> Record:
+        """Read the folder of a run; a mesh is read when it is asked for.
+
+        Raises
+        ------
+        InputError
+            Naming the file and its defect.
+        """
+        folder = Path(folder)
+        if not folder.is_dir():
+            raise InputError(f"{folder}: no such folder")
+        summary = _read_summary(folder / "summary.json")
+        files = sheet_files(folder)
+        travels = [summary["reached_mm"] if s is None else s for s, _ in files]
+        sheets = Sheets(travels, lambda k: _own_sheet(files[k][1], travels[k]))
+        return cls(summary, _read_history(folder / "history.csv"), sheets, folder)
+
+    @classmethod
+    def of(cls, source: Any) -> Record:
+        """Return the record of a run: itself, that of a `Result`, or that of a folder."""
+        if isinstance(source, str | Path):
+            return cls.read(source)
+        return source if isinstance(source, cls) else source.record
+
+    @property
+    def name(self) -> str:
+        """Name of the folder, or of the case where there is none."""
+        return str(self.summary["case"]) if self.folder is None else self.folder.resolve().name
+
+    @property
+    def case(self) -> str:
+        """Name of the case."""
+        return str(self.summary.get("case", self.name))
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """What the user gave."""
+        return self.summary["parameters"]
+
+    @property
+    def scene(self) -> str:
+        """Name or file of its scene, wherever the working folder is.
+
+        A file is looked for where it was when the run was made, then where it was named from:
+        beside the run's folder and in it (they may have moved together), and from here.
+
+        Raises
+        ------
+        InputError
+            If it is in none of these places.
+        """
+        given, recorded = str(self.parameters["scene"]), self.parameters.get("scene_file")
+        if self.folder is None or not given.endswith(".toml"):
+            return given
+        places = [Path(recorded)] if isinstance(recorded, str) else []
+        places += [self.folder.resolve().parent / given, self.folder / given, Path(given)]
+        for path in places:
+            if path.is_file():
+                return str(path)
+        looked = ", ".join(dict.fromkeys(str(path.parent) for path in places))
+        raise InputError(f"{self.folder}: its scene {given} is in none of {looked}")
+
+    @property
+    def sheet(self) -> FormedSheet:
+        """The last of its sheets."""
+        return self.sheets[-1]
+
+    @property
+    def travel(self) -> float:
+        """Travel of its last sheet, mm."""
+        return self.sheets.travels[-1]
+
+    @property
+    def goal(self) -> float:
+        """End of the travel: what was asked for, as far as it is known, or what was reached."""
+        given = self.parameters
+        asked = given.get("travel", given.get("displacement", 0.0))
+        asked = self.model.travel if self.model is not None else float(asked)
+        return max(asked, self.travel) or 1.0
+
+    @property
+    def travel_name(self) -> str:
+        """Column of the travel in the history."""
+        return next(iter(self.history), "travel_mm")
+
+    @property
+    def force(self) -> float:
+        """Driving force at its last sheet, N, interpolated in the history; nan without one."""
+        if "force_N" not in self.history:
+            return np.nan
+        travel = self.history[self.travel_name]
+        return float(np.interp(self.travel, travel, self.history["force_N"]))
+
+    @property
+    def at_end(self) -> bool:
+        """Whether its last sheet is that of the summary."""
+        return self.travel == self.summary["reached_mm"]
+
+    @property
+    def certified(self) -> bool:
+        """Whether the end of the run is certified, and its last sheet is the end."""
+        return self.at_end and self.summary["certified"]
+
+    @property
+    def reasons(self) -> list[str]:
+        """Why its last sheet is not certified."""
+        if not self.at_end:
+            return ["only the end of a run is"]
+        return [] if self.certified else self.summary["certificate"]["reasons"] or ["unknown"]
+
+    @property
+    def in_plane(self) -> bool:
+        """Whether the run is a plane problem."""
+        if self.model is not None:
+            return self.model.sheet.dim == 2
+        return not (self.has_tools or np.ptp(self.sheet.points[:, 2]) > 0)
+
+    @property
+    def has_tools(self) -> bool:
+        """Whether tools form the sheet."""
+        return "max_penetration_mm" in self.summary
+
+    @property
+    def fabric(self) -> dict[str, Any]:
+        """Parameters of the fabric as in `summary.json`: name, thickness (mm), shear, ..."""
+        if self.model is not None:
+            return dict(vars(self.model.sheet.fabric))
+        given = self.parameters.get("fabric")
+        return given if isinstance(given, dict) else {}
+
+    @cached_property
+    def areas(self) -> dict[str, tuple[tuple[float, float], float]]:
+        """Centre and radius of the named areas on the flat sheet, mm; none where not known."""
+        if self.model is not None:
+            return dict(self.model.areas)
+        if isinstance(self.parameters.get("scene"), str):
+            with suppress(InputError):
+                return dict(scene_file.load(self.scene).areas)
+        return {}
+
+    @property
+    def locking(self) -> float | None:
+        """Shear angle at which the fabric locks, degrees; None for a law without locking."""
+        fabric = self.parameters.get("fabric")
+        shear = (fabric.get("shear") if isinstance(fabric, dict) else None) or {}
+        onset = shear.get("I_lo")
+        locks = onset is not None and shear.get("C_lo") and 0 < onset < 1
+        return float(np.degrees(np.arcsin(onset))) if locks else None
+
+    def upto(self, state: int) -> Record:
+        """Return the run up to one of its sheets."""
+        count = range(len(self.sheets))[state] + 1
+        return self if count == len(self.sheets) else replace(self, sheets=self.sheets[:count])
+
+    def near(self, travel: float) -> Record:
+        """Return the run up to its sheet nearest to a travel, mm."""
+        return self.upto(int(np.abs(np.subtract(self.sheets.travels, travel)).argmin()))
+
+    def write(self, folder: str | Path, since: int = 0, increments: bool = True) -> None:
+        """Write all but the pictures into an existing folder.
+
+        Parameters
+        ----------
+        folder : path
+        since : int
+            First of the sheets along the travel that is written.
+        increments : bool
+            Whether the sheets along the travel are written.
+        """
+        folder, end = Path(folder), self.sheets[-1]
+        summary = json.dumps(self.summary, indent=2, allow_nan=False, default=np.generic.item)
+        (folder / "summary.json").write_text(summary + "\n", encoding="utf-8")
+        rows = zip(*self.history.values(), strict=True)
+        _write_table(folder / "history.csv", self.history, ([f"{v:.8g}" for v in r] for r in rows))
+        places = ((number, point) for number, loop in enumerate(end.outline) for point in loop)
+        _write_table(
+            folder / "outline.csv",
+            ["loop", "x_mm", "y_mm", "z_mm"],
+            ([number, *(f"{c:.6g}" for c in point)] for number, point in places),
+        )
+        collection = ET.Element("VTKFile", type="Collection", version="0.1")
+        series = ET.SubElement(collection, "Collection")
+        for number, travel in enumerate(self.sheets.travels if increments else ()):
+            name = f"increment_{number:04d}.vtu"
+            if number >= since:
+                self.sheets[number].write(folder / name)
+            ET.SubElement(series, "DataSet", timestep=f"{travel:.8g}", part="0", file=name)
+        ET.ElementTree(collection).write(folder / "result.pvd", xml_declaration=True)
+        end.write(folder / "result.vtu")
+
+
+def _read_summary(path: Path) -> dict[str, Any]:
+    """Contents of a `summary.json`, in today's format."""
+    try:
+        summary = json.loads(path.read_text(encoding="utf-8"))
+        kinds = {"reached_mm": int | float, "parameters": dict, "error_estimate": dict}
+        if not all(isinstance(summary.get(key), kind) for key, kind in kinds.items()):
+            raise ValueError(f"expected {', '.join(kinds)}")
+    except FileNotFoundError as error:
+        raise InputError(f"{path.parent}: no result: it has no summary.json") from error
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or error}") from error
+    except (ValueError, AttributeError) as error:  # no JSON, or no table
+        raise InputError(f"{path}: not the summary of a run: {error}") from error
+    given = summary.get("format", 1)
+    if given not in (1, FORMAT):
+        raise InputError(f"{path}: of format {given}; this version reads formats 1 and {FORMAT}")
+    return summary if given == FORMAT else _of_first_format(summary)
+
+
+def _of_first_format(summary: dict[str, Any]) -> dict[str, Any]:
+    """Summary in today's format from one of version 0.1.0."""
+    given, many = summary.get("certified"), summary.get("one_of_many")
+    reasons = given.split("; ") if isinstance(given, str) else []
+    unsolved = [r for r in reasons if r.startswith("residual") or "pivots" in r or "balance" in r]
+    return summary | {
+        "format": FORMAT,
+        "certified": given is True,
+        "certificate": {"converged": not unsolved, "reasons": reasons},
+        "trust": [f"one of many states: {many}"] if many else [],
+        "factorisations": {},
+    }
+
+
+def _read_history(path: Path) -> dict[str, FloatArray]:
+    """Columns of a `history.csv` by heading; none without the file."""
+    if not path.exists():
+        return {}
+    try:
+        heading = path.read_text(encoding="utf-8").splitlines()[0].split(",")
+        columns = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2)
+        return dict(zip(heading, columns.T, strict=True))
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or error}") from error
+    except (ValueError, IndexError) as error:
+        raise InputError(f"{path}: not a history of this program: {error}") from error
+
+
+def sheet_files(folder: Path) -> list[tuple[float | None, Path]]:
+    """Travels and files of the sheets in a folder; a single one has no travel of its own.
+
+    Raises
+    ------
+    InputError
+        If there is none.
+    """
+    increments, single = folder / "result.pvd", folder / "result.vtu"
+    if increments.exists() and b"<DataSet" in increments.read_bytes():
+        return series(increments)
+    if single.exists():
+        return [(None, single)]
+    raise InputError(f"{folder}: no result: neither result.pvd with its increments nor .vtu")
+
+
+def series(path: Path) -> list[tuple[float, Path]]:
+    """Times (travels) and files that a .pvd file names, by time.
+
+    Raises
+    ------
+    InputError
+        If it is not readable, or names no file.
+    """
+    try:
+        found = [
+            (float(entry.get("timestep", "nan")), path.parent / entry.get("file", ""))
+            for entry in ET.parse(path).iter("DataSet")
+        ]
+    except (OSError, ET.ParseError, ValueError) as error:
+        raise InputError(f"{path}: not a readable .pvd file: {error}") from error
+    if not found:
+        raise InputError(f"{path}: it names no file")
+    return sorted(found, key=lambda entry: entry[0])
+
+
+def _own_sheet(path: Path, travel: float) -> FormedSheet:
+    """Sheet in a file of this program."""
+    sheet = read_sheets(path)[-1]
+    for where, names in NEEDED.items():
+        for name in names:
+            if name not in getattr(sheet, where):
+                raise InputError(f"{path}: no field '{name}': not a result of this program")
+    try:
+        return replace(sheet.with_flat(), travel=travel)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def _write_table(path: Path, heading: Any, rows: Any) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(heading)
+        writer.writerows(rows)

@@ -1,0 +1,106 @@
+"""Contents of `summary.json`."""
+
+from __future__ import annotations
+
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+import numpy as np
+
+from .certificate import Certificate, one_of_many, trust
+from .measures import percentile
+from .outcome import Outcome
+from .record import FORMAT
+
+
+def summarise(result: Outcome, certificate: Certificate) -> dict[str, Any]:
+    """Contents of `summary.json`: numbers that are not finite become None.
+
+    Parameters
+    ----------
+    result : Outcome
+    certificate : Certificate
+    """
+    model, sheet = result.model, result.sheet
+    gamma, areas = np.abs(sheet.shear_angle), sheet.flat_areas
+    strain = np.maximum(sheet.cell_fields["E11"], sheet.cell_fields["E22"]).max()
+    summary: dict[str, Any] = {
+        "case": model.name,
+        "version": package_version(),
+        "format": FORMAT,
+        "parameters": model.parameters,
+        "status": result.status,
+        "reached_mm": result.states[-1].travel,
+        "reason": result.reason,
+        "wall_s": round(result.wall_s, 3),
+        "linear_solves": round(result.linear_solves),
+        "factorisations": result.factorisations,
+        "solver": result.settings,
+        "increments": result.increments,
+        "path_size_mm": None if result.path is None else result.path.model.size,
+        "nodes": len(model.sheet.blank.nodes),
+        "triangles": len(model.sheet.blank.triangles),
+        "dofs": int((~model.fixed).sum()),
+        "model": [f"{entry}: {why}" for entry, why in result.description],
+        "force_N": result.force,
+        "shear_angle_deg": {
+            "max": float(gamma.max()),
+            "p99": percentile(gamma, areas, 0.99),
+            "mean": float(areas @ gamma / areas.sum()),
+        },
+        "error_estimate": {name: result.estimate[name] for name in ("shear_angle_deg", "force_N")},
+        "estimated_errors": result.estimate,
+        "equilibrium": {
+            "residual_relative": result.residual,
+            "energy_balance_relative": result.energy_balance,
+            "negative_pivots": result.negative_pivots,
+        },
+        "fibre_strain_max": float(np.sqrt(2.0 * strain + 1.0) - 1.0),
+        "collapse": result.collapse,
+        "rescues": result.rescues,
+        "stabilisation_work_relative": result.stabilisation,
+        "snaps": result.snaps,
+        "one_of_many": one_of_many(result) or None,
+        "spread": result.spread or None,
+        "certified": certificate.certified,
+        "certificate": {
+            "converged": certificate.converged,
+            "reasons": list(certificate.reasons),
+        },
+        "trust": trust(result),
+        "doubtful_share": {
+            reason: float(areas @ flag / areas.sum()) for reason, flag in sheet.doubts().items()
+        },
+    }
+    return _finite(summary | (_forming(result) if model.contacts else {}))
+
+
+def _forming(result: Outcome) -> dict[str, Any]:
+    """What is read off a sheet between tools."""
+    return {
+        "max_penetration_mm": result.max_penetration,
+        "chord_penetration_mm": result.chord_penetration,
+        "draw_in_mm": result.draw_in,
+        "areas": result.areas,
+        "resting_tools": result.resting_tools(),
+        "wrinkles": result.wrinkles,
+    }
+
+
+def _finite(content: Any) -> Any:
+    """Replace numbers that are not finite by None, which JSON can hold."""
+    if isinstance(content, dict):
+        return {key: _finite(value) for key, value in content.items()}
+    if isinstance(content, list | tuple):
+        return [_finite(entry) for entry in content]
+    if isinstance(content, float) and not np.isfinite(content):
+        return None
+    return content
+
+
+def package_version() -> str:
+    """Version of the installed package."""
+    try:
+        return version("quasiform")
+    except PackageNotFoundError:
+        return "not installed"

@@ -1,0 +1,67 @@
+"""Supports and grippers of a scene, and what keeps a sheet in place without friction."""
+
+from __future__ import annotations
+
+import numpy as np
+import shapely
+
+from ..checks import InputError
+from ..energy.gripper import Grip
+from ..energy.term import Term
+from ..model import Model
+from .scene_file import SceneFile
+
+
+def fix_supports(model: Model, file: SceneFile, outline: shapely.Polygon) -> np.ndarray | None:
+    """Prescribe supported nodes; (n_nodes,) bool array of those that are clamped, or None."""
+    sheet = model.sheet
+    clamped = np.zeros(len(sheet.blank.nodes), dtype=bool)
+    for i, support in enumerate(file.supports, 1):
+        nodes = support.where.nodes(sheet.blank.nodes, outline.bounds)
+        if not nodes.any():
+            raise InputError(f"[supports {i}] no node of the blank lies there")
+        for axis, letter in enumerate("xyz"):
+            if letter in support.fix:
+                model.fixed[sheet.dofs[:, axis]] |= nodes
+        clamped |= nodes & support.clamp
+    return clamped if clamped.any() else None
+
+
+def grips(model: Model, file: SceneFile, outline: shapely.Polygon) -> list[Term]:
+    """The grippers' pulls, shared by the length of the gripped edge, or by area."""
+    sheet = model.sheet
+    blank, positions = sheet.blank, sheet.positions(model.x0)
+    pulls: list[Term] = []
+    for i, gripper in enumerate(file.grippers, 1):
+        at = np.flatnonzero(gripper.where.nodes(blank.nodes, outline.bounds))
+        if not len(at):
+            raise InputError(f"[grippers {i}] no node of the blank lies there")
+        rim = blank.mesh.facets[:, blank.mesh.boundary_facets()].T
+        rim = rim[np.isin(rim, at).all(1)] if gripper.where.side else rim[:0]
+        part = blank.node_areas
+        if len(rim):
+            length = np.linalg.norm(np.diff(blank.nodes[rim], axis=1)[:, 0], axis=1)
+            part = np.bincount(rim.ravel(), np.repeat(length, 2), minlength=len(blank.nodes))
+        shares, direction = part[at] / part[at].sum(), np.array([*gripper.direction, 0.0])
+        pulls.append(
+            Grip(sheet, at, shares, positions[at], direction, gripper.tension, gripper.stiffness)
+        )
+    return pulls
+
+
+def keep_middle(model: Model, file: SceneFile) -> None:
+    """Without friction the middle of the sheet keeps its place in the plane."""
+    sheet, fixed = model.sheet, model.fixed
+    blank = sheet.blank
+    if file.supports or file.grippers or len(blank.mirror) == 2:
+        return
+    middle = np.linalg.norm(blank.nodes, axis=1).argmin()
+    for axis, plane in enumerate("xy"):
+        if plane not in blank.mirror:
+            fixed[sheet.dofs[middle, axis]] = True
+    if not blank.mirror:
+        far = np.linalg.norm(blank.nodes - blank.warp * 4 * model.size, axis=1).argmin()
+        fixed[sheet.dofs[far, int(abs(blank.warp[1]) < abs(blank.warp[0]))]] = True
+    model.description.append(
+        ("middle of the sheet fixed in the plane", "no friction keeps it in place")
+    )

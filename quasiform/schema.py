@@ -1,0 +1,249 @@
+"""Files read through a schema: pydantic checks them, and each refusal becomes one line.
+
+Import this module where a file is read, not with the package: pydantic takes a while to load.
+"""
+
+import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import fields
+from pathlib import Path
+from types import NoneType
+from typing import Annotated, Any, TypeVar
+
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    PlainValidator,
+    ValidationError,
+    ValidationInfo,
+    WithJsonSchema,
+    create_model,
+    model_validator,
+)
+from pydantic_core import ErrorDetails, PydanticCustomError
+
+from .checks import InputError, check_keys, check_number, suggestion
+
+T = TypeVar("T")
+M = TypeVar("M", bound="Table")
+LARGEST = 1e6  # of a number, in its unit: a kilometre, a meganewton
+STANDINGS = ("measured", "stated", "exact", "peer", "inferred", "assumed")
+OPEN = Field(default_factory=NoneType)  # may be left out; no default is shown in the JSON schema
+TABLES = ("model_type", "model_attributes_type", "dict_type", "union_tag_not_found")
+
+
+class Table(BaseModel):
+    """A table of a file; an unknown key is refused with a suggestion."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _known_keys(cls, table: Any) -> Any:
+        if isinstance(table, Mapping):
+            check_keys(table, [field.alias or key for key, field in cls.model_fields.items()])
+        return table
+
+
+def validated(model: type[M], table: Any, folder: Path | None = None) -> M:
+    """Return the table of a file as its model; paths are relative to `folder`.
+
+    Raises
+    ------
+    InputError
+        In one line that names table, key, value and what was expected.
+    """
+    try:
+        return model.model_validate(table, context=folder)
+    except ValidationError as error:
+        raise InputError(_one_line(error.errors(include_url=False)[0], table)) from error
+
+
+def read_dataclass(kind: type[T], table: Any, where: str = "") -> T:
+    """Return the table of a file, called `where`, as a dataclass that checks its own values.
+
+    Raises
+    ------
+    InputError
+    """
+    given = [f for f in fields(kind) if f.init]
+    keys = {f.name: (Any, ...) if f.default is f.default_factory else (Any, OPEN) for f in given}
+    if not isinstance(table, Mapping):
+        raise InputError(f"{where} = {table!r}: expected a table [{where}]")
+    try:
+        validated(create_model(kind.__name__, __base__=Table, **keys), table)
+        return kind(**table)
+    except InputError as error:
+        raise InputError(f"[{where}] {error}" if where else str(error)) from error
+
+
+def dotted(path: Iterable[str | int]) -> str:
+    """Name of a place in a file.
+
+    Examples
+    --------
+    >>> dotted(["blank", "holes", 0, "radius"])
+    'blank.holes 1.radius'
+    """
+    words = ""
+    for part in path:
+        words += f" {part + 1}" if isinstance(part, int) else f".{part}" if words else part
+    return words
+
+
+def _one_line(error: ErrorDetails, table: Any) -> str:
+    """What pydantic found wrong, as one line for the user."""
+    kind, got, context = error["type"], error["input"], error.get("ctx", {})
+    path, here = [], table
+    for part in error["loc"]:
+        try:
+            here = here[part]
+        except (KeyError, IndexError, TypeError):
+            continue  # pydantic's name for the member of a union
+        path.append(part)
+    if kind == "missing":
+        path.append(error["loc"][-1])
+    place = dotted(path)
+    if kind == "value_error":  # of a whole table
+        return f"[{place}] {context['error']}" if place else str(context["error"])
+    if kind in TABLES:
+        return f"{place} = {got!r}: expected a table [{place}]"
+    if kind.startswith(("list", "tuple")):
+        return f"{place}: expected tables [[{place}]]"
+    if kind == "union_tag_invalid":
+        key = context["discriminator"].strip("'()").split("_")[-1]  # a function named after the key
+        path, got = [*path, key], got.get(key)
+    named = len(path) > 1 and isinstance(path[-1], str)
+    name = f"[{dotted(path[:-1])}] {path[-1]}" if named else dotted(path)
+    if kind in ("literal_error", "union_tag_invalid"):
+        known = re.findall(r"'(.*?)'", context.get("expected") or context["expected_tags"])
+        if got is None:
+            return f"{name} missing: expected one of {', '.join(known)}"
+        return f"{name} = {got!r}: {suggestion(got if isinstance(got, str) else '', known)}"
+    words = {
+        "missing": "missing",
+        "bool_type": f"= {got!r}: expected true or false",
+        "string_type": f"must be a text, got {got!r}",
+        "float_type": f"must be a number, got {got!r}",
+    }
+    return f"{name} {words.get(kind, error['msg'])}"
+
+
+# Types of keys
+
+
+def checked(check: Callable[[Any], Any], **schema: Any) -> Any:
+    """Type of a key that `check` turns into its value; its InputError continues the key's name."""
+
+    def wrapped(value: Any) -> Any:
+        try:
+            return check(value)
+        except InputError as error:
+            raise PydanticCustomError("wrong", "{words}", {"words": str(error)}) from error
+
+    return Annotated[Any, PlainValidator(wrapped), WithJsonSchema(schema)]
+
+
+def number(
+    text: str, unit: str, *, zero: bool = False, signed: bool = False, most: float = LARGEST
+) -> Any:
+    """Type of a key with a number in `unit`; `text` says what it is."""
+
+    def check(value: Any) -> float:
+        if signed:
+            if type(value) not in (int, float) or not abs(value) <= most:
+                raise InputError(f"must be a number of up to {most:g}, got {value!r}")
+        elif check_number("", value, zero_allowed=zero) > most:
+            raise InputError(f"must not exceed {most:g} {unit}, got {value!r}")
+        return float(value)
+
+    limits = {"minimum": -most} if signed else {"minimum" if zero else "exclusiveMinimum": 0}
+    plain = {"type": "number", **limits, "maximum": most}
+    keys = {"value": plain, "unit": {"const": unit}, "standing": {"enum": list(STANDINGS)}}
+    table = {"type": "object", "properties": keys, "additionalProperties": False}
+    both = [plain, table | {"required": ["value", "standing"]}]
+    return checked(check, anyOf=both, description=text if unit == "1" else f"{text}; {unit}")
+
+
+def vector(text: str, length: int, expected: str = "") -> Any:
+    """Type of a key with a list of numbers."""
+
+    def check(value: Any) -> tuple[float, ...]:
+        numbers = isinstance(value, list | tuple) and all(
+            type(c) in (int, float) and abs(c) <= LARGEST for c in value
+        )
+        if not numbers or len(value) != length:
+            wanted = expected or f"{length} numbers"
+            raise InputError(f"= {value!r}: expected {wanted} of up to {LARGEST:g}")
+        return tuple(map(float, value))
+
+    items = {"items": {"type": "number"}, "minItems": length, "maxItems": length}
+    return checked(check, type="array", description=text, **items)
+
+
+def path(text: str) -> Any:
+    """Type of a key with the path of a file."""
+
+    def check(value: Any, info: ValidationInfo) -> Path:
+        if not isinstance(value, str) or not value or "\0" in value:
+            words = f"= {value!r}: expected the path of a file"
+            raise PydanticCustomError("wrong", "{words}", {"words": words})
+        return info.context / value
+
+    schema = WithJsonSchema({"type": "string", "description": text})
+    return Annotated[Any, PlainValidator(check), schema]
+
+
+# Numbers with a standing
+
+
+def unwrapped(
+    table: Mapping[str, Any], units: Mapping[str, str], together: str = ""
+) -> tuple[dict[str, Any], dict[str, str]]:
+    """Replace `{ value, unit, standing }` by the value, and collect the standings.
+
+    Parameters
+    ----------
+    table : mapping
+        Of a file.
+    units : mapping of key to unit
+        Of the keys with a number.
+    together : str
+        A table whose tables carry one unit (mm) and standing for all their numbers.
+
+    Returns
+    -------
+    table : dict
+    standings : dict of dotted name to standing
+
+    Raises
+    ------
+    InputError
+        For an unknown key, another unit, and no standing or an unknown one.
+    """
+    standings: dict[str, str] = {}
+
+    def walk(value: Any, path: tuple[str | int, ...]) -> Any:
+        if isinstance(value, list):
+            return [walk(inner, (*path, i)) for i, inner in enumerate(value)]
+        if not isinstance(value, dict):
+            return value
+        group = len(path) == 2 and path[0] == together
+        if (group or (path and path[-1] in units)) and value.keys() & {"value", "unit", "standing"}:
+            name, unit = dotted(path), "mm" if group else units[path[-1]]
+            if not group:
+                check_keys(value, ["value", "unit", "standing"], name)
+            if value.get("unit", unit) != unit:
+                raise InputError(f"{name}: unit must be {unit!r}, got {value['unit']!r}")
+            if not group or "standing" in value:
+                standing = value.get("standing")
+                if standing not in STANDINGS:
+                    known = ", ".join(STANDINGS)
+                    raise InputError(f"{name}: standing must be one of {known}, got {standing!r}")
+                standings[name] = standing
+            if not group:
+                return value.get("value")
+        return {key: walk(inner, (*path, key)) for key, inner in value.items()}
+
+    return walk(dict(table), ()), standings

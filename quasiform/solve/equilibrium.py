@@ -1,0 +1,245 @@
+"""The equations of a model: gradient, residual, and the states of its terms, which the run owns."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ..energy.term import Term
+from ..model import Model
+from ..potential import Memory, Potential
+from .linear import SingularMatrixError
+from .tangent import Tangent
+
+FloatArray = np.ndarray
+LEAST_FORCE = 1e-6  # N: what a driving force counts for where a tool has not touched yet
+LOOSER = (
+    30.0  # tolerance on the way where lagged values have to settle, relative to that at the end
+)
+
+
+class NotConvergedError(ArithmeticError):
+    """A solve that did not reach its tolerance; carries the state it had come to."""
+
+    def __init__(self, reason: str, x: FloatArray, residual: float) -> None:
+        super().__init__(reason)
+        self.x, self.residual = x, residual
+
+
+@dataclass
+class Equilibrium:
+    """The equations of a model.
+
+    Parameters
+    ----------
+    model : Model
+    linear : str
+        Name of the linear solver.
+    tolerance : float
+        Sum of the nodal force residuals relative to the driving force, at the end of the travel;
+        on the way `LOOSER` times that.
+    convex : "on demand", "always" or "never"
+        When the convex tangent takes the place of the exact one.
+    max_iterations : int
+        Newton iterations of one solve.
+    travel : float
+        Where the prescribed unknowns are.
+    carried : float
+        Residual that lagged values may leave to the next increment where they do not settle.
+    carried_on : int
+        How often they did.
+    relaxed : int
+        Iterations of dynamic relaxation so far.
+    foreseen : array, optional
+        Stress that the last prediction foresaw, for the next solve.
+    """
+
+    model: Model
+    linear: str = "auto"
+    tolerance: float = 1e-4
+    convex: str = "on demand"
+    max_iterations: int = 400
+    travel: float = 0.0
+    carried: float = 2e-2
+    carried_on: int = 0
+    relaxed: int = 0
+    free: np.ndarray = field(init=False)
+    memory: Memory = field(init=False)
+    potential: Potential = field(init=False)
+    tangent: Tangent = field(init=False)
+    foreseen: FloatArray | None = field(init=False, default=None)
+
+    def __post_init__(self) -> None:
+        model = self.model
+        self.free = ~model.fixed
+        self.memory = tuple(term.initial(model.x0) for term in model.terms)
+        self.potential = Potential(model.terms, self.free, self.memory)
+        places = model.unknowns.places()[self.free]
+        self.tangent = Tangent(self.potential, places, self.linear, self.convex)
+        self.mixed = [(i, name) for i, term in enumerate(model.terms) for name in term.mixed]
+        self.mesh_size = min(sheet.blank.size for sheet in model.sheets)
+
+    # The states of the terms
+
+    @property
+    def remembers(self) -> bool:
+        """Whether a term has memory."""
+        return any(state is not None for state in self.memory)
+
+    def take(self, memory: Memory) -> None:
+        """Take over states of the terms, and their stencils where these have changed."""
+        self.tangent.follow(memory)
+        self.memory = memory
+
+    def reset(self) -> None:
+        """Forget everything: the terms are at the start of a run."""
+        self.take(self.potential.initial(self.model.x0))
+
+    def refresh(self, x: FloatArray) -> None:
+        """Take lagged values from x."""
+        if self.remembers:
+            self.take(self.potential.refresh(x, self.memory))
+
+    def back_to(self, memory: Memory, travel: float) -> None:
+        """Undo what a failed increment has lagged."""
+        self.travel = travel
+        self.take(memory)
+
+    def accept(self, x: FloatArray, memory: Memory) -> None:
+        """Take over the states committed at x; the tangent is another one from there on.
+
+        It is factorised at once, so that a run that is continued from here goes the same way.
+        """
+        if self.remembers:
+            self.take(memory)
+            self.certify(x)
+
+    def lagged(self) -> FloatArray:
+        """All lagged values that a fixed point is sought for, after a zero."""
+        return np.concatenate([[0.0], *(getattr(self.memory[i], name) for i, name in self.mixed)])
+
+    def lag(self, values: FloatArray) -> None:
+        """Put such values into the states."""
+        memory, rest = list(self.memory), values[1:]
+        for i, name in self.mixed:
+            own, rest = np.split(rest, [len(getattr(memory[i], name))])
+            memory[i] = replace(memory[i], **{name: own})
+        self.take(tuple(memory))
+
+    @contextmanager
+    def with_term(self, term: Term) -> Iterator[None]:
+        """Add a term of diagonal Hessian to the potential for the time being."""
+        own, self.memory = self.potential, (*self.memory, None)
+        self.potential = Potential([*own.terms, term], self.free, self.memory)
+        self.tangent.of(self.potential)
+        try:
+            yield
+        finally:
+            self.potential, self.memory = own, self.memory[:-1]
+            own.follow(self.memory)
+            self.tangent.of(own)
+
+    # Forces
+
+    def gradient(self, x: FloatArray) -> FloatArray:
+        """(n_dofs,) derivative of the potential with the present states, N."""
+        return self.potential.gradient(x, self.memory)
+
+    def energy(self, x: FloatArray) -> float:
+        """Potential with the present states, mJ."""
+        return self.potential.energy(x, self.memory)
+
+    def energy_at(self, x: FloatArray, trial: FloatArray) -> float:
+        """Energy of a trial state; infinite where a triangle has been turned over since x."""
+        if self.model.turned_over(x, trial):
+            return np.inf
+        return self.energy(trial)
+
+    def force(self, g: FloatArray) -> float:
+        """Derivative of the potential by the travel, N (of the modelled share)."""
+        _, rate = self.model.prescribed(self.travel)
+        return float(np.where(self.model.fixed, rate, 0.0) @ g)
+
+    def residual(
+        self, g: FloatArray, certified: bool = False, driven: FloatArray | None = None
+    ) -> float:
+        """Sum of the free nodal forces relative to the driving force, or to the dead load.
+
+        The driving force is that of g, or of another gradient `driven`. Before it has grown to 2 %
+        of a resting tool's weight the residual is measured against that, unless `certified`.
+        """
+        model = self.model
+        total = model.unknowns.norm(np.where(model.fixed, 0.0, g))
+        if model.dead_load:
+            return total / model.dead_load
+        floor = LEAST_FORCE if certified else 0.02 * model.resting + LEAST_FORCE
+        return total / max(abs(self.force(g if driven is None else driven)), floor)
+
+    @property
+    def at_end(self) -> bool:
+        """Whether the travel is at its end."""
+        return self.travel >= self.model.travel * (1 - 1e-12)
+
+    @property
+    def goal(self) -> float:
+        """Residual that is asked for: on the way a looser one where lagged values settle."""
+        return self.tolerance * (1.0 if self.at_end or not self.mixed else LOOSER)
+
+    def worst(self, g: FloatArray) -> str:
+        """Where the residual is largest, for a message."""
+        force, X = self.model.unknowns.largest(np.where(self.model.fixed, 0.0, g))
+        X = self.model.sheets[0].to_user(X)
+        return f"{force:.2g} N at X = ({X[0]:.1f}, {X[1]:.1f}) mm"
+
+    def motion_to(self, x: FloatArray, travel: float) -> FloatArray:
+        """(n_dofs,) motion of the prescribed unknowns from x to `travel`, mm."""
+        return np.where(self.model.fixed, self.model.prescribed(travel)[0] - x, 0.0)
+
+    # The tangent, whose failures name the state
+
+    def factor(
+        self, x: FloatArray, convex: float, **given: FloatArray | None
+    ) -> tuple[int, FloatArray]:
+        """Factorise a tangent at x; see `Tangent.factor`.
+
+        Raises
+        ------
+        NotConvergedError
+            If it is singular.
+        """
+        try:
+            return self.tangent.factor(x, self.memory, convex, **given)
+        except SingularMatrixError as error:
+            raise NotConvergedError(f"the tangent is singular: {error}", x, np.inf) from error
+
+    def factor_definite(
+        self, x: FloatArray, **given: FloatArray | bool | None
+    ) -> tuple[bool, FloatArray]:
+        """Factorise a positive definite tangent at x; see `Tangent.factor_definite`.
+
+        Raises
+        ------
+        NotConvergedError
+            If there is none.
+        """
+        try:
+            return self.tangent.factor_definite(x, self.memory, **given)
+        except SingularMatrixError as error:
+            raise NotConvergedError(f"the tangent is singular: {error}", x, np.inf) from error
+
+    def direction(self, x: FloatArray, force: FloatArray) -> FloatArray:
+        """(n_free,) solution of the last tangent for -force (n_free,)."""
+        try:
+            return -self.tangent.solve(force)
+        except SingularMatrixError as error:
+            raise NotConvergedError(str(error), x, np.inf) from error
+
+    def certify(self, x: FloatArray) -> int | None:
+        """Negative pivots of the exact tangent at x; None if it is singular or unknown."""
+        try:
+            return self.factor(x, 0.0)[0] if self.tangent.inertia else None
+        except NotConvergedError:  # a stopped run may have no tangent
+            return None

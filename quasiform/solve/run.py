@@ -1,0 +1,344 @@
+"""One run: where it is, the states kept, the energy account, and the ladder of rescues.
+
+A state is found by the first rung of a ladder that leads there: Newton's method with the convex
+tangent where the exact one is not positive definite, a shorter increment, proximal steps, dynamic
+relaxation. The last two only bring a state near: it is always solved by the equations of the model
+alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ..checks import InputError, check_number
+from ..potential import Memory
+from ..result.run import Result, State
+from .equilibrium import Equilibrium, NotConvergedError
+from .newton import downhill, predict, settle
+from .proximal import creep
+from .relaxation import relax
+
+FloatArray = np.ndarray
+MOST_RELAXED = 60_000  # iterations of a run by dynamic relaxation alone
+WEIGHED = 5e-3  # of the work to come: what an increment may miss by the trapezoidal rule
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How a model is solved; see `solve`."""
+
+    increment: float | None = None
+    method: str = "newton"
+    linear: str = "auto"
+    tolerance: float = 1e-4
+    convex: str = "on demand"
+    perturbation: float = 0.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.method not in ("newton", "relaxation"):
+            raise InputError(f"unknown method '{self.method}': expected 'newton' or 'relaxation'")
+        if self.increment is not None:
+            check_number("increment", self.increment)
+        check_number("tolerance", self.tolerance)
+        check_number("perturbation", self.perturbation, zero_allowed=True)
+        if not isinstance(self.seed, int) or self.seed < 0:
+            raise InputError(f"seed must be a whole number of at least zero, got {self.seed!r}")
+        if self.convex not in ("on demand", "always", "never"):
+            raise InputError(
+                f"convex must be 'on demand', 'always' or 'never', got {self.convex!r}"
+            )
+
+
+class TooCoarseError(ArithmeticError):
+    """An increment over which the trapezoidal rule misses the work."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """Energy account of an equilibrium state: travel, driving force (N), stored energy (mJ)."""
+
+    travel: float
+    force: float
+    stored: float
+
+
+@dataclass
+class Account:
+    """Where a run is with its energy, and how it came there; all of it goes into a checkpoint.
+
+    Parameters
+    ----------
+    entry : Entry
+        Of the last increment.
+    work, gap, damped : float
+        Work done by the travel, what the balance misses of it, and what the rescues took up, mJ.
+    increments : int
+    rescues : dict of rung to count
+    snaps : list of dict
+        Where the sheet jumped, and the energy that this released.
+    missed : (float, float)
+        Target and gap of an increment that was too coarse.
+    collapse : dict, optional
+        Where a triangle first collapsed.
+    ended : str
+        Why there is no way on from here.
+    """
+
+    entry: Entry = field(default_factory=lambda: Entry(0.0, 0.0, 0.0))
+    work: float = 0.0
+    gap: float = 0.0
+    damped: float = 0.0
+    increments: int = 0
+    rescues: dict[str, int] = field(default_factory=dict)
+    snaps: list[dict[str, float]] = field(default_factory=list)
+    missed: tuple[float, float] = (-np.inf, np.inf)
+    collapse: dict[str, Any] | None = None
+    ended: str = ""
+
+    def count(self, rung: str) -> None:
+        """Count one use of a rung."""
+        self.rescues[rung] = self.rescues.get(rung, 0) + 1
+
+
+class Run:
+    """One run of a model.
+
+    Parameters
+    ----------
+    equations : Equilibrium
+    settings : Settings
+    """
+
+    def __init__(self, equations: Equilibrium, settings: Settings) -> None:
+        self.equations, self.settings, self.model = equations, settings, equations.model
+        self.x, self.travel, self.states = self.model.x0, 0.0, list[State]()
+        self.memory: Memory = equations.memory  # committed
+        self.account = Account()
+
+    # The start
+
+    def start(self) -> FloatArray:
+        """Equilibrium before any travel (a holder settling on the sheet)."""
+        equations, x0 = self.equations, self.model.x0
+        x = x0.copy()
+        if not self.model.resting:
+            return x
+        x = self._shaken(x)
+        if self.settings.method == "relaxation":
+            x = self._relaxed(x, 0.0)
+        else:
+            try:
+                x = self._solve(x)
+            except NotConvergedError:
+                self.back()
+                self.account.count("dynamic relaxation")
+                x = self._solve(self._relaxed(x0, 0.0, 1e-2, 5000))
+        self._accept(x, equations.potential.commit(x, equations.memory))
+        return x
+
+    def open(self, x: FloatArray, travel: float = 0.0) -> None:
+        """Begin the energy account at the start, or where a run takes over."""
+        self.x, self.travel = x, travel
+        self.account.entry = self._entry(x, travel, self.memory)
+
+    def settle(self, x: FloatArray) -> FloatArray:
+        """Find the equilibrium near x and commit it.
+
+        Raises
+        ------
+        NotConvergedError
+        """
+        x = self._solve(x)
+        self._accept(x, self.equations.potential.commit(x, self.equations.memory))
+        return x
+
+    # One increment
+
+    def advance(self, target: float, rungs: list[Rung], weigh: bool) -> None:
+        """Bring the state to the travel `target` and commit it.
+
+        Parameters
+        ----------
+        target : float
+        rungs : list of functions (run, target) to x
+            What to try, in order, where Newton's method fails.
+        weigh : bool
+            Refuse an increment over which the energy balance is open by too much.
+
+        Raises
+        ------
+        NotConvergedError
+        TooCoarseError
+        """
+        account, s = self.account, self.travel
+        saddles, damped = account.rescues.get("saddle left", 0), account.damped
+        moved = self._climb(target, rungs)
+        memory = self.equations.potential.commit(moved, self.equations.memory)
+        entry = self._entry(moved, target, memory)
+        last = account.entry
+        work = 0.5 * (last.force + entry.force) * (entry.travel - last.travel)
+        lost = self.equations.potential.dissipated(self.memory, memory, moved)
+        gap = work - (entry.stored - last.stored) - lost
+        # at the end there will be at least the work so far in proportion to the travel
+        expected = (abs(account.work) + abs(work)) * self.model.travel / target
+        coarse = abs(gap) > WEIGHED * expected
+        tried, missed = account.missed
+        if coarse and weigh:
+            account.damped, account.missed = damped, (target, gap)
+            raise TooCoarseError
+        # what a jump releases does not fall with the increment as the error of the rule does
+        jumped = target <= tried and gap > 0.5 * missed > 0
+        jumped |= account.rescues.get("saddle left", 0) > saddles or account.damped > damped
+        # over a longer increment the gap is the error of the rule as well
+        short = target - s <= self.model.increment / 16 * (1 + 1e-6)
+        if coarse and jumped and short and gap > 0:
+            account.snaps.append({"from_mm": s, "to_mm": target, "released_mJ": gap})
+        else:
+            account.gap += gap
+        self.x, self.travel, account.entry = moved, target, entry
+        account.work += work
+        account.increments += 1
+        self._accept(moved, memory)
+        if account.collapse is None:
+            account.collapse = self.model.collapsed(moved, target)
+
+    def back(self) -> None:
+        """Undo what a failed increment has changed."""
+        self.equations.back_to(self.memory, self.travel)
+
+    def _accept(self, x: FloatArray, memory: Memory) -> None:
+        self.equations.accept(x, memory)
+        self.memory = memory
+
+    def _climb(self, target: float, rungs: list[Rung]) -> FloatArray:
+        """Newton's method, then each rung with Newton's method after it."""
+        x, equations = self.x, self.equations
+        if self.settings.method == "relaxation":
+            if equations.relaxed > MOST_RELAXED:
+                raise NotConvergedError(
+                    f"dynamic relaxation alone has used {MOST_RELAXED} iterations", x, np.inf
+                )
+            still = np.zeros_like(x)
+            return self._leave_saddles(
+                self._relaxed(x, target), lambda x: relax(equations, x, still)[0]
+            )
+        try:
+            return self._solve(self._shaken(predict(equations, x, target)))
+        except NotConvergedError as error:
+            failed = error
+        damped = self.account.damped
+        for rung in rungs:
+            self.back()
+            self.account.damped = damped
+            self.account.count(rung.__name__.replace("_", " "))
+            with suppress(NotConvergedError):
+                return self._solve(rung(self, target))
+        self.account.damped = damped
+        raise failed
+
+    def _relaxed(self, x: FloatArray, target: float, *limits: float) -> FloatArray:
+        self.equations.travel = target
+        motion = self.equations.motion_to(x, target)
+        x, damped = relax(self.equations, self._shaken(x), motion, *limits)
+        if limits:  # as a rescue
+            self.account.damped += damped
+        return x
+
+    def _shaken(self, x: FloatArray) -> FloatArray:
+        """Add the perturbation; each increment has its own noise."""
+        if not self.settings.perturbation:
+            return x
+        seeds = [self.settings.seed, round(1e6 * self.equations.travel)]
+        noise = np.random.default_rng(seeds).normal(size=len(x))
+        loose = self.equations.free & self.model.unknowns.at_nodes()
+        shaken = x + self.settings.perturbation * np.where(loose, noise, 0.0)
+        return x if self.model.turned_over(x, shaken) else shaken
+
+    def _solve(self, x: FloatArray) -> FloatArray:
+        def settled(x: FloatArray) -> FloatArray:
+            return settle(self.equations, x)
+
+        return self._leave_saddles(settled(x), settled)
+
+    def _leave_saddles(
+        self, x: FloatArray, settled: Callable[[FloatArray], FloatArray], tries: int = 8
+    ) -> FloatArray:
+        """Follow negative curvature down until the exact tangent is positive definite.
+
+        Near a limit point the way down is flat and curved, and each try takes twice the stride of
+        the last. After `tries` the saddle is kept; the certificate says so.
+        """
+        if not self.equations.tangent.inertia:
+            return x
+        for i in range(tries):
+            negative, _ = self.equations.factor(x, 0.0)
+            if not negative:
+                break
+            self.account.count("saddle left")
+            x = settled(downhill(self.equations, x, 1e-3 * 2**i))
+        return x
+
+    def _entry(self, x: FloatArray, travel: float, memory: Memory) -> Entry:
+        equations = self.equations
+        force = equations.force(equations.gradient(x))
+        return Entry(travel, force, equations.potential.energy(x, memory))
+
+    # What is kept
+
+    def keep(self) -> None:
+        """Keep the present state."""
+        self.states.append(
+            State(
+                self.travel,
+                self.x.copy(),
+                self.account.entry.force / self.model.share,
+                self.equations.tangent.factorisations,
+                {name: measure(self.x) for name, measure in self.model.measures.items()},
+            )
+        )
+
+    def result(self, reason: str, wall: float) -> Result:
+        """Result of the states kept, the last of them the end."""
+        equations, account, tangent = self.equations, self.account, self.equations.tangent
+        x = self.states[-1].x
+        g = equations.gradient(x)
+        own = {"convex tangent": tangent.convex_taken, "friction carried on": equations.carried_on}
+        return Result(
+            model=self.model,
+            states=list(self.states),
+            memory=self.memory,
+            reason=reason,
+            wall_s=wall,
+            linear_solves=tangent.factorisations,
+            factorisations={f"{self.model.size:g} mm": tangent.factorisations},
+            increments=account.increments,
+            rescues=account.rescues | {rung: times for rung, times in own.items() if times},
+            residual=equations.residual(g, certified=True),
+            settings=asdict(self.settings) | {"linear": tangent.solver.name},
+            energy_balance=abs(account.gap) / max(abs(account.work), 1e-12),
+            stabilisation=account.damped / max(abs(account.entry.stored), 1e-12),
+            snaps=account.snaps,
+            negative_pivots=equations.certify(x),
+            collapse=account.collapse,
+        )
+
+
+Rung = Callable[[Run, float], FloatArray]
+
+
+def proximal(run: Run, target: float) -> FloatArray:
+    """Creep to near the equilibrium at the travel `target`."""
+    x, damped = creep(run.equations, predict(run.equations, run.x, target))
+    run.account.damped += damped
+    return x
+
+
+def dynamic_relaxation(run: Run, target: float) -> FloatArray:
+    """Relax to near the equilibrium at the travel `target`."""
+    return run._relaxed(run.x, target, 1e-2, 5000)
