@@ -7,6 +7,7 @@ from quasiform import theory
 from quasiform.energy.bending import Bending
 from quasiform.energy.membrane import Membrane
 from quasiform.energy.weight import SheetWeight
+from quasiform.unknowns import Unknowns
 
 LENGTH = 100.0
 
@@ -26,13 +27,13 @@ def values() -> dict[str, float]:
     return found
 
 
-def _tip_drop(scene: qf.Scene) -> float:
+def _tip_drop(scene: qf.Model) -> float:
     result = qf.solve(scene, estimate=False)
-    tip = np.isclose(result.scene.blank.nodes[:, 0], LENGTH)
-    return -scene.positions(result.states[-1].x)[tip, 2].mean() / LENGTH
+    tip = np.isclose(result.model.sheet.blank.nodes[:, 0], LENGTH)
+    return -scene.sheet.positions(result.states[-1].x)[tip, 2].mean() / LENGTH
 
 
-def _balanced(fabric: qf.Fabric, load: float) -> qf.Scene:
+def _balanced(fabric: qf.Fabric, load: float) -> qf.Model:
     """Half of a strip that rests on its middle: the mirror plane clamps it."""
     blank = qf.rectangle(2 * LENGTH, 10.0, 5.0, through=((0.0, 0.0),), mirror=("x", "y"))
     n = len(blank.nodes)
@@ -44,15 +45,16 @@ def _balanced(fabric: qf.Fabric, load: float) -> qf.Scene:
     fixed[3 * np.flatnonzero(blank.nodes[:, 1] == 0) + 1] = True
     drive = np.zeros(len(x0))
     drive[-1] = 1.0
-    return qf.Scene(
+    sheet = (unknowns := Unknowns()).sheet(blank, fabric, dim=3)
+    factor = unknowns.add("load factor", 1)
+    return qf.Model(
         name="balanced strip",
-        blank=blank,
-        fabric=fabric,
-        dim=3,
+        unknowns=unknowns,
+        sheets=[sheet],
         terms=[
-            Membrane(blank, fabric, 3),
-            Bending(blank, fabric),
-            SheetWeight(blank, load, 3 * n),
+            Membrane(sheet),
+            Bending(sheet),
+            SheetWeight(sheet, load, int(factor.dofs[0, 0])),
         ],
         x0=x0,
         fixed=fixed,
@@ -66,7 +68,7 @@ def _balanced(fabric: qf.Fabric, load: float) -> qf.Scene:
 def _twist(fabric: qf.Fabric) -> float:
     """Bending energy of a strip with free edges on z = c x y, over that of z = c x²/2, c small."""
     blank = qf.rectangle(60.0, 30.0, 5.0)
-    bending = Bending(blank, fabric)
+    bending = Bending(Unknowns().sheet(blank, fabric, dim=3))
     X, Y = blank.nodes.T
     energies = [
         bending.energy(np.column_stack([X, Y, z]).ravel()).sum()

@@ -50,7 +50,7 @@ def run(quick: bool) -> Outcome:
     scene = qf.off_axis_tension(45, fabric, 450.0, 150.0, at, 150.0 / 23)
     end = qf.solve(scene, estimate=False)
     bound = ANGLE_TEST.energy(at, fabric.shear.energy, THICKNESS)
-    stored = end.scene.membrane.energy(end.states[-1].x).sum()
+    stored = end.model.membrane.energy(end.states[-1].x).sum()
     found[f"energy over that of the uniform bands u={at:g}"] = stored / bound
     figure = _figure(curves, u, gamma)
     return Outcome(

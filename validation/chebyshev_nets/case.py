@@ -18,6 +18,7 @@ from quasiform.draw.plot import STYLE, WIDTH
 from quasiform.energy.bending import Bending
 from quasiform.energy.membrane import Membrane
 from quasiform.tools.shapes import Placed, Shape, ball
+from quasiform.unknowns import Unknowns
 from validation.run import Outcome
 
 SIZES = (8.0, 4.0, 2.0)
@@ -98,7 +99,7 @@ SURFACES: dict[str, tuple[Shape, float]] = {  # and half the side of the square 
 }
 
 
-class Bound:
+class Bound(qf.Term):
     """Sheet bound to a surface on which it slides, E = k/2 Σ A d²."""
 
     name = "bound to a surface"
@@ -107,14 +108,14 @@ class Bound:
         self.dofs = np.arange(3 * len(blank.nodes)).reshape(-1, 3)
         self.shape, self.k = shape, STIFFNESS * blank.node_areas
 
-    def energy(self, x: np.ndarray) -> np.ndarray:
+    def energy(self, x: np.ndarray, state: None = None) -> np.ndarray:
         return 0.5 * self.k * self.shape.distance(x[self.dofs])[0] ** 2
 
-    def gradient(self, x: np.ndarray) -> np.ndarray:
+    def gradient(self, x: np.ndarray, state: None = None) -> np.ndarray:
         d, n, _ = self.shape.distance(x[self.dofs])
         return (self.k * d)[:, None] * n
 
-    def hessian(self, x: np.ndarray, convex: bool) -> np.ndarray:
+    def hessian(self, x: np.ndarray, state: None, convex: bool) -> np.ndarray:
         d, n, H = self.shape.distance(x[self.dofs])
         bent = 0.0 if convex else d[:, None, None] * H
         return self.k[:, None, None] * (_outer(n, n) + bent)
@@ -239,12 +240,12 @@ def _draped(
     x0[:, :2][np.abs(blank.nodes) < 1e-9] = 0.0
     fixed = np.zeros_like(x0, dtype=bool)
     fixed[:, :2] = np.abs(blank.nodes) < 1e-9
-    scene = qf.Scene(
+    sheet = (unknowns := Unknowns()).sheet(blank, fabric, dim=3)
+    scene = qf.Model(
         name="net",
-        blank=blank,
-        fabric=fabric,
-        dim=3,
-        terms=[Membrane(blank, fabric, 3), Bending(blank, fabric), Bound(blank, shape)],
+        unknowns=unknowns,
+        sheets=[sheet],
+        terms=[Membrane(sheet), Bending(sheet), Bound(blank, shape)],
         x0=x0.ravel(),
         fixed=fixed.ravel(),
         drive=np.zeros(x0.size),
@@ -299,12 +300,12 @@ def _planar() -> tuple[float, list[float], float]:
             ahead, behind = positions(X, s + 1e-4), positions(X, s - 1e-4)
             return positions(X, s), (ahead - behind) / 2e-4
 
-        scene = qf.Scene(
+        sheet = (unknowns := Unknowns()).sheet(blank, fabric, dim=2)
+        scene = qf.Model(
             name="planar net",
-            blank=blank,
-            fabric=fabric,
-            dim=2,
-            terms=[Membrane(blank, fabric, 2)],
+            unknowns=unknowns,
+            sheets=[sheet],
+            terms=[Membrane(sheet)],
             x0=blank.nodes.ravel().copy(),
             fixed=np.repeat(rim, 2),
             drive=drive,

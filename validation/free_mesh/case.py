@@ -25,12 +25,12 @@ def values() -> dict[str, float]:
                 result = qf.solve(scene, increment=increment, estimate=False)
                 u, force = result.history["displacement_mm"], result.history["force_N"]
                 theory = OffAxisTension(320, 160, np.radians(angle))
-                fabric = scene.fabric
+                fabric = scene.sheet.fabric
                 exact = [
                     theory.force(d, fabric.shear.stress, fabric.thickness) for d in displacements
                 ]
                 worst.append(np.abs(np.interp(displacements, u, force) / exact - 1).max())
-                counts.append(len(scene.blank.triangles))
+                counts.append(len(scene.sheet.blank.triangles))
             case = f"{angle} deg, {round(counts[0], -3)} triangles"
             found[f"{case}: largest deviation"] = worst[0]
             found[f"{case}: largest of five meshes"] = max(worst)

@@ -10,6 +10,7 @@ import quasiform as qf
 from quasiform.draw.plot import FIRST, STYLE, WIDTH
 from quasiform.energy.bending import Bending
 from quasiform.energy.membrane import Membrane
+from quasiform.unknowns import Unknowns
 from validation.run import Outcome
 
 B0 = 119.2  # N mm, measured to a curvature of 2.39 1/m
@@ -65,12 +66,12 @@ def _bent(most: float) -> tuple[np.ndarray, np.ndarray]:
     def drive(kappa: float) -> tuple[np.ndarray, np.ndarray]:
         return place(kappa), (place(kappa + 1e-6) - place(kappa - 1e-6)) / 2e-6
 
-    scene = qf.Scene(
+    sheet = (unknowns := Unknowns()).sheet(blank, fabric, dim=3)
+    scene = qf.Model(
         name="bent strip",
-        blank=blank,
-        fabric=fabric,
-        dim=3,
-        terms=[Membrane(blank, fabric, 3), Bending(blank, fabric)],
+        unknowns=unknowns,
+        sheets=[sheet],
+        terms=[Membrane(sheet), Bending(sheet)],
         x0=np.column_stack([blank.nodes, np.zeros(n)]).ravel(),
         fixed=np.repeat(held, 3),
         drive=drive,

@@ -11,13 +11,13 @@ def values() -> dict[str, float]:
     found = {}
     ideal = theory.OffAxisTension(320.0, 160.0, np.pi / 6)
     result = qf.solve(qf.off_axis_tension(30, "locking", displacement=15), estimate=False)
-    fabric = result.scene.fabric
+    fabric = result.model.sheet.fabric
     found["energy balance"] = result.energy_balance
     for state in result.states[1:]:
         u = round(state.travel)
         found[f"force u={u}"] = state.force
         bound = ideal.energy(state.travel, fabric.shear.energy, fabric.thickness)
-        stored = result.scene.membrane.energy(state.x).sum()
+        stored = result.model.membrane.energy(state.x).sum()
         found[f"energy / admissible field's u={u}"] = stored / bound
 
     for law in ("best-fit", "locking"):

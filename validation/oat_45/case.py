@@ -25,12 +25,12 @@ def values() -> dict[str, float]:
     for law in ("best-fit", "locking"):
         result = qf.solve(qf.off_axis_tension(45, law, displacement=45), estimate=False)
         zones = off_axis_zones(result.blank, 320.0, 160.0, 45.0)
-        shear = result.scene.fabric.shear
+        shear = result.model.sheet.fabric.shear
         angle, force, side = [], [], []
         for i, state in enumerate(result.states[1:], start=1):
             gamma, phi_a, _ = np.degrees(ideal.angles(state.travel))
             angle.append(state.measures["shear_angle_center_deg"] - gamma)
-            expected = ideal.force(state.travel, shear.stress, result.scene.fabric.thickness)
+            expected = ideal.force(state.travel, shear.stress, result.model.sheet.fabric.thickness)
             force.append(100 * (state.force / expected - 1))
             for zone in ("warp free", "weft free"):
                 weight = np.where(zones[zone], result.blank.areas, 0.0)

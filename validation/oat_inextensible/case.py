@@ -36,7 +36,7 @@ def values() -> dict[str, float]:
         fabric = _fabric("locking", FIBRES[-1])
         result = qf.solve(qf.off_axis_tension(angle, fabric, displacement=u), estimate=False)
         bound = ideal.energy(u, fabric.shear.energy, fabric.thickness)
-        stored = result.scene.membrane.energy(result.states[-1].x).sum()
+        stored = result.model.membrane.energy(result.states[-1].x).sum()
         found[f"{angle} deg: energy over that of the uniform bands"] = stored / bound
     return found
 

@@ -8,6 +8,7 @@ import quasiform as qf
 from quasiform.energy.bending import Bending
 from quasiform.energy.paired_membrane import membrane_of
 from quasiform.net.free_mesh import triangulate
+from quasiform.unknowns import Unknowns
 
 LENGTH, WIDTH = 100.0, 80.0
 SIZES = (10.0, 5.0, 2.5)
@@ -69,12 +70,12 @@ def _homogeneous(mesh: str) -> dict[str, float]:
     along = np.column_stack([blank.warp, blank.weft])
     F = along @ np.array([[1.002, 0.10], [0.15, 0.999]]) @ along.T
     rate = (blank.nodes @ (F - np.eye(2)).T).ravel()
-    scene = qf.Scene(
+    sheet = (unknowns := Unknowns()).sheet(blank, FABRIC, dim=2)
+    scene = qf.Model(
         name="patch test",
-        blank=blank,
-        fabric=FABRIC,
-        dim=2,
-        terms=[membrane_of(blank, FABRIC, 2)],
+        unknowns=unknowns,
+        sheets=[sheet],
+        terms=[membrane_of(sheet)],
         x0=blank.nodes.ravel().copy(),
         fixed=np.repeat(_rim(blank), 2),
         drive=rate,
@@ -83,7 +84,7 @@ def _homogeneous(mesh: str) -> dict[str, float]:
         rows=0.5,
     )
     result = qf.solve(scene, estimate=False, tolerance=1e-8)
-    x = scene.positions(result.states[-1].x)
+    x = scene.sheet.positions(result.states[-1].x)
     a, b = F @ blank.warp, F @ blank.weft
     gamma = np.degrees(np.arcsin(a @ b / np.sqrt((a @ a) * (b @ b))))
 
@@ -111,9 +112,10 @@ def _rigid(mesh: str) -> float:
     n = np.array([1.0, 2.0, -0.5]) / np.linalg.norm([1.0, 2.0, -0.5])
     cross = np.array([[0.0, -n[2], n[1]], [n[2], 0.0, -n[0]], [-n[1], n[0], 0.0]])
     R = np.eye(3) + np.sin(2.0) * cross + (1 - np.cos(2.0)) * cross @ cross
-    terms = [membrane_of(blank, FABRIC, 3)]
+    sheet = Unknowns().sheet(blank, FABRIC, dim=3)
+    terms = [membrane_of(sheet)]
     if blank.pairs is None and mesh != "distorted":
-        terms.append(Bending(blank, FABRIC))
+        terms.append(Bending(sheet))
     x = np.pad(blank.nodes, ((0, 0), (0, 1))) @ R.T + [5.0, -70.0, 12.0]
     sheared = FABRIC.thickness * LENGTH * WIDTH * FABRIC.shear.energy(np.sin(np.radians(1.0)))
     return sum(abs(term.energy(x.ravel()).sum()) for term in terms) / float(sheared)
@@ -129,7 +131,8 @@ def _rolled(angle: float, size: float) -> float:
     blank = qf.rectangle(LENGTH, WIDTH, size, angle, (LENGTH / 2, WIDTH / 2))
     X, Y = blank.nodes.T
     x = np.column_stack([radius * np.sin(X / radius), Y, radius * (1 - np.cos(X / radius))])
-    kappa = np.abs(Bending(blank, FABRIC).curvature(x.ravel()))
+    sheet = Unknowns().sheet(blank, FABRIC, dim=3)
+    kappa = np.abs(Bending(sheet).curvature(x.ravel()))
     t = np.radians(angle)
     exact = np.array([np.cos(t) ** 2, np.sin(t) ** 2]) / radius
     found = [k[k > 0.5 * e] if e > 1e-9 else k for k, e in zip(kappa.T, exact, strict=True)]
@@ -145,7 +148,8 @@ def _manufactured(mesh: str, size: float, fabric: qf.Fabric = SOFT) -> tuple[flo
     """
     blank = _blank(mesh, size)
     speed, turn = 0.005, 0.15
-    membrane = membrane_of(blank, fabric, 2)
+    sheet = (unknowns := Unknowns()).sheet(blank, fabric, dim=2)
+    membrane = membrane_of(sheet)
     along = np.column_stack([blank.warp, blank.weft])
     s, w = np.polynomial.legendre.leggauss(12)
     s, w = 0.5 * (s + 1), 0.5 * w
@@ -180,11 +184,10 @@ def _manufactured(mesh: str, size: float, fabric: qf.Fabric = SOFT) -> tuple[flo
     basis = Basis(blank.mesh, ElementVector(ElementTriP1()), intorder=6)
     forces = load.assemble(basis)
     start = positions(blank.nodes)
-    scene = qf.Scene(
+    scene = qf.Model(
         name="manufactured solution",
-        blank=blank,
-        fabric=fabric,
-        dim=2,
+        unknowns=unknowns,
+        sheets=[sheet],
         terms=[membrane, DeadLoads(forces)],
         x0=start.ravel(),
         fixed=np.repeat(_rim(blank), 2),
@@ -202,12 +205,12 @@ def _manufactured(mesh: str, size: float, fabric: qf.Fabric = SOFT) -> tuple[flo
     da, db = tangent(a, 0), tangent(b, 1)
     cosine = (da * db).sum(0) / (np.linalg.norm(da, axis=0) * np.linalg.norm(db, axis=0))
     off = np.degrees(membrane.shear_angle(x) - np.arcsin(cosine))
-    moved = ((scene.positions(x) - start) ** 2).sum(1)
+    moved = ((scene.sheet.positions(x) - start) ** 2).sum(1)
     node, area = blank.node_areas, blank.areas
     return np.sqrt(node @ moved / node.sum()), np.sqrt(area @ off**2 / area.sum())
 
 
-class DeadLoads:
+class DeadLoads(qf.Term):
     """Given forces on the nodes, E = -f·x."""
 
     name = "dead loads"
@@ -215,11 +218,11 @@ class DeadLoads:
     def __init__(self, forces: np.ndarray) -> None:
         self.dofs, self.forces = np.arange(len(forces))[:, None], forces
 
-    def energy(self, x: np.ndarray) -> np.ndarray:
+    def energy(self, x: np.ndarray, state: None = None) -> np.ndarray:
         return -self.forces * x
 
-    def gradient(self, x: np.ndarray) -> np.ndarray:
+    def gradient(self, x: np.ndarray, state: None = None) -> np.ndarray:
         return -self.forces[:, None]
 
-    def hessian(self, x: np.ndarray, convex: bool) -> np.ndarray:
+    def hessian(self, x: np.ndarray, state: None, convex: bool) -> np.ndarray:
         return np.zeros((len(self.forces), 1, 1))

@@ -277,6 +277,13 @@ def draw_in(nodes: FloatArray, x: FloatArray) -> float:
 
 
 def scene(size: float):
+    """Return the scene with a recipe, so that it is built at other sizes too."""
+    from quasiform.recipe import built
+
+    return built(open_die, size)
+
+
+def open_die(size: float, like=None):
     """Build the scene by hand, upside down: the ball comes from above."""
     import quasiform as qf
     from quasiform.energy.bending import Bending
@@ -284,6 +291,7 @@ def scene(size: float):
     from quasiform.energy.friction import Friction
     from quasiform.energy.membrane import Membrane
     from quasiform.tools.shapes import ball
+    from quasiform.unknowns import Unknowns
 
     blank = qf.rectangle(SIDE, SIDE, size, through=((0.0, 0.0),))
     fabric = qf.Fabric(
@@ -308,17 +316,17 @@ def scene(size: float):
     fixed[[3 * centre, 3 * centre + 1, 3 * side + 1, 3 * n]] = True
     drive = np.zeros(3 * n + 1)
     drive[-1] = -1.0
-    contact = Contact(blank, fabric, tool, 3 * n)
-    return qf.Scene(
+    sheet = (unknowns := Unknowns()).sheet(blank, fabric, dim=3)
+    contact = Contact(sheet, tool, unknowns.add("punch", 1).dofs)
+    return qf.Model(
         name="open-die-hemisphere",
-        blank=blank,
-        fabric=fabric,
-        dim=3,
+        unknowns=unknowns,
+        sheets=[sheet],
         terms=[
-            Membrane(blank, fabric, dim=3),
-            Bending(blank, fabric),
+            Membrane(sheet),
+            Bending(sheet),
             contact,
-            Friction(contact, x0),
+            Friction(contact),
         ],
         x0=x0,
         fixed=fixed,
@@ -328,7 +336,6 @@ def scene(size: float):
         rows=5.0,
         travel_name="travel_mm",
         parameters={"size": size},
-        resized=scene,
         coarsest=SIZES[0],
     )
 

@@ -37,7 +37,7 @@ def problems(folder: Path) -> list[Problem]:
     import quasiform as qf
 
     made = qf.forming("hemisphere", size=20.0)
-    radius = made.contacts[0].tool.shape.radius + made.fabric.thickness / 2
+    radius = made.contacts[0].tool.shape.radius + made.sheet.fabric.thickness / 2
     return [
         Problem(
             f"net on the hemisphere, spacing {h:g} mm",
@@ -113,7 +113,7 @@ def quasiform(spacing: float) -> Answer:
     result = qf.solve(qf.forming("hemisphere", size=spacing), estimate=False)
     if result.status != "completed":
         return Answer(failed=result.reason)
-    made, blank = result.scene, result.scene.blank
+    made, blank = result.model, result.model.sheet.blank
     x = result.states[-1].x
     corners = blank.nodes[blank.triangles]
     edges = np.linalg.norm(np.roll(corners, -1, axis=1) - np.roll(corners, 1, axis=1), axis=2)
@@ -121,12 +121,12 @@ def quasiform(spacing: float) -> Answer:
     a, b = (0.5 * (np.roll(corners, -1, axis=1) + np.roll(corners, 1, axis=1))[n, k]).T
     punch = made.contacts[0]
     radius = punch.tool.shape.radius
-    place = made.positions(x)[blank.triangles].mean(1)
-    height = x[made.n_nodal] + radius - place[:, 2]
+    place = made.sheet.positions(x)[blank.triangles].mean(1)
+    height = x[punch.tool_dofs[0]] + radius - place[:, 2]
     colatitude = np.degrees(np.arctan2(np.hypot(*place[:, :2].T), height))
     touching = (punch.penetration(x) > 0)[blank.triangles].all(1)
     chosen = touching & (np.abs(a - b) < 1e-6) & (colatitude < FARTHEST)
-    exact = theory.hemisphere_net(a[chosen], b[chosen], radius + made.fabric.thickness / 2)
+    exact = theory.hemisphere_net(a[chosen], b[chosen], radius + made.sheet.fabric.thickness / 2)
     gamma = np.degrees(made.membrane.shear_angle(x)[chosen])
     return Answer(
         float(np.abs(gamma - np.degrees(exact)).max()),

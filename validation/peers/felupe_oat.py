@@ -47,7 +47,7 @@ def _problem(folder: Path, size: float) -> Problem:
     import quasiform as qf
 
     scene = qf.off_axis_tension(45, "locking", displacement=TRAVEL, size=size)
-    blank, fabric = scene.blank, scene.fabric
+    blank, fabric = scene.sheet.blank, scene.sheet.fabric
     law = Law(**asdict(fabric.shear))
     I = np.linspace(-0.99, 0.99, 2001)
     for mine, theirs in (

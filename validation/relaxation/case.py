@@ -14,7 +14,7 @@ def values() -> dict[str, float]:
     ) | _differ("hemisphere, 5 mm", lambda: qf.forming("hemisphere", size=10, travel=5), 5.0)
 
 
-def _differ(name: str, scene: Callable[[], qf.Scene], increment: float) -> dict[str, float]:
+def _differ(name: str, scene: Callable[[], qf.Model], increment: float) -> dict[str, float]:
     newton, relaxed = (
         qf.solve(scene(), increment=increment, method=method, estimate=False)
         for method in ("newton", "relaxation")

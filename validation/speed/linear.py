@@ -18,8 +18,8 @@ from scipy.sparse import csr_array, diags_array
 from scipy.sparse.linalg import cg
 
 import quasiform as qf
-from quasiform.model import Scene
-from quasiform.solve.newton import Equilibrium, rigid_motions
+from quasiform.model import Model
+from quasiform.solve.equilibrium import Equilibrium
 
 FloatArray = np.ndarray
 TRAVEL = 40.0  # mm of the hemisphere, whole sheet
@@ -37,8 +37,8 @@ def main(sizes: list[float]) -> None:
 
 def rows(result: qf.Result) -> list[tuple[str, ...]]:
     """Rows of the table for the convex tangent at the end of a result."""
-    scene, x = result.scene, result.states[-1].x
-    known = f"{len(scene.blank.triangles)}", f"{(~scene.fixed).sum()}"
+    scene, x = result.model, result.states[-1].x
+    known = f"{len(scene.sheet.blank.triangles)}", f"{(~scene.fixed).sum()}"
     b = np.random.default_rng(0).normal(size=(~scene.fixed).sum())
     found = []
     for name in ("pardiso", "superlu"):
@@ -47,10 +47,12 @@ def rows(result: qf.Result) -> list[tuple[str, ...]]:
         except qf.InputError:  # not installed
             continue
         equilibrium.travel = scene.travel
-        values, _ = equilibrium.potential.hessian(x, convex=True)
-        equilibrium.solver.factor(values)
-        factor, _ = timed(lambda e=equilibrium, v=values: e.solver.factor(v))
-        solution, _ = timed(lambda e=equilibrium: e.solver.solve(b))
+        equilibrium.take(result.memory)
+        values, _ = equilibrium.potential.hessian(x, result.memory, convex=True)
+        solver = equilibrium.tangent.solver
+        solver.factor(values)
+        factor, _ = timed(lambda s=solver, v=values: s.factor(v))
+        solution, _ = timed(lambda s=solver: s.solve(b))
         found.append((*known, name, f"{factor:.2f}", f"{solution:.3f}", ""))
     p = equilibrium.potential.pattern
     upper = csr_array((values, p.indices, p.indptr), shape=p.shape)
@@ -69,18 +71,29 @@ def rows(result: qf.Result) -> list[tuple[str, ...]]:
     return found
 
 
-def slides(scene: Scene, x: FloatArray) -> FloatArray:
+def rigid_motions(scene: Model) -> FloatArray:
+    """(n_dofs, 6) translations and rotations of the sheet, which all tools follow."""
+    X = scene.sheet.positions(scene.x0)
+    B = np.zeros((len(scene.x0), 6))
+    B[~scene.unknowns.at_nodes(), 0] = 1.0
+    for i, e in enumerate(np.eye(3)):
+        B[scene.sheet.dofs, i], B[scene.sheet.dofs, 3 + i] = e, np.cross(e, X)
+    return B
+
+
+def slides(scene: Model, x: FloatArray) -> FloatArray:
     """(n_free, 6) motions of the fibres along themselves, a power of the place across them."""
-    triangles, n = scene.blank.triangles, len(scene.blank.nodes)
+    blank = scene.sheet.blank
+    triangles, n = blank.triangles, len(blank.nodes)
     motions = []
     for family, fibre in enumerate(np.moveaxis(scene.membrane.fibres(x), 1, 0)):
         along = np.zeros((n, 3))
         np.add.at(along, triangles, fibre[:, None])
         along /= np.linalg.norm(along, axis=1)[:, None]
-        across = scene.blank.nodes @ (scene.blank.weft, scene.blank.warp)[family]
+        across = blank.nodes @ (blank.weft, blank.warp)[family]
         for power in (1, 2, 3):
             motion = np.zeros(len(x))
-            motion[: 3 * n] = (along * ((across / across.max()) ** power)[:, None]).ravel()
+            motion[scene.sheet.dofs] = along * ((across / across.max()) ** power)[:, None]
             motions.append(motion[~scene.fixed])
     return np.stack(motions, axis=1)
 

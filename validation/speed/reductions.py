@@ -20,6 +20,7 @@ from quasiform.energy.contact import Contact, at_edges
 from quasiform.energy.friction import Friction
 from quasiform.energy.membrane import Membrane
 from quasiform.scenes import scene_file
+from quasiform.unknowns import Unknowns
 
 from .rows import markdown
 
@@ -34,7 +35,8 @@ def table() -> str:
             short, seconds = _timed(reduced)
             long, without = _timed(full)
             p99 = [r.quantities["shear_angle_deg"] for r in (short, long)]
-            judge = short.scene.resized(2 * short.scene.size) if short.scene.resized else None
+            model = short.model
+            judge = None if model.changed else model.recipe.build(2 * model.size, like=model)
             if short.estimate["shear_angle_deg"] is None and judge is not None:
                 short.judge([qf.solve(judge, estimate=False)])
             rows.append(
@@ -69,7 +71,7 @@ def _pairs(folder: Path) -> list[tuple[str, str, Solve, Solve]]:
     """(reduction, where, with it, without it)."""
     here, strip = "hemisphere, 10 mm", "off-axis tension 45°, 10 mm"
 
-    def path(scene: Callable[[], qf.Scene]) -> Solve:
+    def path(scene: Callable[[], qf.Model]) -> Solve:
         return lambda: qf.solve(scene(), estimate=False)
 
     plain = path(_hemisphere)
@@ -119,7 +121,7 @@ def _timed(solve: Solve) -> tuple[qf.Result, float]:
 
 
 def _dofs(result: qf.Result) -> int:
-    return int((~result.scene.fixed).sum())
+    return int((~result.model.fixed).sum())
 
 
 def _shown(value: float | None, factor: float) -> str:
@@ -128,25 +130,28 @@ def _shown(value: float | None, factor: float) -> str:
 
 def _hemisphere(
     size: float = 10.0, symmetry: str = "auto", friction: float | None = None
-) -> qf.Scene:
+) -> qf.Model:
     law = qf.Fabric() if friction is None else replace(qf.Fabric(), friction=friction)
     return qf.forming("hemisphere", law=law, size=size, symmetry=symmetry)
 
 
-def _with_weight() -> qf.Scene:
+def _with_weight() -> qf.Model:
     return qf.forming(replace(scene_file.load("hemisphere"), gravity=True), size=10.0)
 
 
-def _with_mid_edges() -> qf.Scene:
+def _with_mid_edges() -> qf.Model:
     """Contact between the nodes too, where no tool is sharp enough for it to be needed."""
-    scene = _hemisphere()
-    edges = at_edges(scene.blank)
+    return _hemisphere().including(with_mid_edges)
+
+
+def with_mid_edges(scene: qf.Model) -> None:
+    """Append these contacts and their friction."""
+    edges = at_edges(scene.sheet.blank)
     for contact in scene.contacts:
-        between = Contact(scene.blank, scene.fabric, contact.tool, contact.tool_dofs[0], edges)
+        between = Contact(scene.sheet, contact.tool, contact.tool_dofs, edges)
         scene.terms.append(between)
         if contact.tool.friction:
-            scene.terms.append(Friction(between, scene.x0))
-    return scene
+            scene.terms.append(Friction(between))
 
 
 def _stl(folder: Path) -> str:
@@ -181,15 +186,16 @@ def _stl(folder: Path) -> str:
     return str(scene)
 
 
-def _strip() -> qf.Scene:
+def _strip() -> qf.Model:
     return qf.off_axis_tension(45.0, displacement=40.0)
 
 
-def _strip_in_space(in_plane: float = 0.0) -> qf.Scene:
+def _strip_in_space(in_plane: float = 0.0) -> qf.Model:
     """Off-axis tension free to leave its plane, with bending of the fibre lines."""
     flat = _strip()
-    fabric = replace(flat.fabric, in_plane_bending=in_plane)
-    n = len(flat.blank.nodes)
+    blank, fabric = flat.sheet.blank, replace(flat.sheet.fabric, in_plane_bending=in_plane)
+    n = len(blank.nodes)
+    sheet = (unknowns := Unknowns()).sheet(blank, fabric, dim=3)
 
     def spatial(values: np.ndarray, out_of_plane: np.ndarray | float | bool) -> np.ndarray:
         found = np.empty((n, 3), dtype=values.dtype)
@@ -198,12 +204,12 @@ def _strip_in_space(in_plane: float = 0.0) -> qf.Scene:
 
     return replace(
         flat,
-        fabric=fabric,
-        dim=3,
-        terms=[Membrane(flat.blank, fabric, 3), Bending(flat.blank, fabric)],
+        unknowns=unknowns,
+        sheets=[sheet],
+        terms=[Membrane(sheet), Bending(sheet)],
         x0=spatial(flat.x0, 0.0),
         fixed=spatial(flat.fixed, flat.fixed[::2]),
         drive=spatial(flat.drive, 0.0),
         measures={},
-        resized=None,
+        recipe=None,
     )

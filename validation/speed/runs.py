@@ -14,7 +14,7 @@ import numpy as np
 import quasiform as qf
 from quasiform.result.summary import package_version
 from quasiform.scenes import scene_file
-from quasiform.solve.newton import Equilibrium
+from quasiform.solve.equilibrium import Equilibrium
 
 from .rows import REFERENCE, Row
 
@@ -46,7 +46,7 @@ class Problem:
     """
 
     title: str
-    build: Callable[..., qf.Scene]
+    build: Callable[..., qf.Model]
     default: tuple[str, float]
     finest: float
     runs: tuple[tuple[str, tuple[float, ...], tuple[float, ...]], ...]
@@ -54,15 +54,15 @@ class Problem:
     followed: bool = False
 
 
-def _tension(angle: float, displacement: float) -> Callable[..., qf.Scene]:
-    def build(size: float, symmetry: str = "auto", mesh: str = "fibre") -> qf.Scene:
+def _tension(angle: float, displacement: float) -> Callable[..., qf.Model]:
+    def build(size: float, symmetry: str = "auto", mesh: str = "fibre") -> qf.Model:
         return qf.off_axis_tension(angle, displacement=displacement, size=size, mesh=mesh)
 
     return build
 
 
-def _forming(name: str, travel: float) -> Callable[..., qf.Scene]:
-    def build(size: float, symmetry: str = "auto", mesh: str = "fibre") -> qf.Scene:
+def _forming(name: str, travel: float) -> Callable[..., qf.Model]:
+    def build(size: float, symmetry: str = "auto", mesh: str = "fibre") -> qf.Model:
         file = replace(scene_file.load(name), mesh=mesh)
         return qf.forming(file, 0.0, size=size, travel=travel, symmetry=symmetry)
 
@@ -226,14 +226,14 @@ def run(plan: Plan) -> tuple[Row, FloatArray]:
     return row, result.shear_angle_at(np.random.default_rng(0).uniform(low, high, (POINTS, 2)))
 
 
-def unknowns(scene: qf.Scene) -> int:
+def unknowns(scene: qf.Model) -> int:
     """Number of the degrees of freedom that are solved for."""
     return int((~scene.fixed).sum())
 
 
 def work(equilibria: list[Equilibrium], unit: int) -> float:
     """Linear solves of all meshes of a run, in those of a mesh with `unit` unknowns."""
-    return sum(e.linear_solves * (unknowns(e.scene) / unit) ** GROWTH for e in equilibria)
+    return sum(e.tangent.factorisations * (unknowns(e.model) / unit) ** GROWTH for e in equilibria)
 
 
 @contextmanager

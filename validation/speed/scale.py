@@ -53,8 +53,8 @@ def one(size: float) -> dict:
     result = qf.refine(qf.forming("hemisphere", size=size))
     return {
         "size": size,
-        "triangles": len(result.scene.blank.triangles),
-        "dofs": int((~result.scene.fixed).sum()),
+        "triangles": len(result.model.sheet.blank.triangles),
+        "dofs": int((~result.model.fixed).sum()),
         "seconds": time.process_time() - processor,
         "wall": time.perf_counter() - wall,
         "solves": float(result.linear_solves),

@@ -98,7 +98,7 @@ def _numbers(result: qf.Result, quick: bool) -> dict[str, float]:
         "place of the highest shear, off the bias of the fibres": _off_bias(result),
     }
     if not quick:
-        found["size of the mesh at the end"] = result.scene.size
+        found["size of the mesh at the end"] = result.model.size
     for name, value in result.estimate.items():
         if name in ("force_N", "shear_angle_deg") and value is not None:
             words = {"force_N": "force", "shear_angle_deg": "99th percentile"}[name]
@@ -106,7 +106,7 @@ def _numbers(result: qf.Result, quick: bool) -> dict[str, float]:
     found |= {f"measured mean angle, {name}": value for name, value in result.areas.items()}
     found |= {f"measured draw-in {side}": value for side, value in result.draw_in.items()}
     bend = result.wrinkles["largest_curvature_1_per_mm"]
-    found["largest curvature over that of the sharpest tool"] = bend * _mid(result.scene)
+    found["largest curvature over that of the sharpest tool"] = bend * _mid(result.model)
     found["lift of the sheet off the die's face"] = result.wrinkles["flange_lift_mm"]
     return found
 
@@ -134,12 +134,12 @@ def _box(result: qf.Result, orientation: int) -> dict[str, float]:
         * float(blank.areas[named] @ unstable[named] / blank.areas[named].sum()),
         f"largest angle in the flange {words}": gamma[named].max(),
     }
-    scene, end = result.scene, result.states[-1].x
+    scene, end = result.model, result.states[-1].x
     bending = next(term for term in scene.terms if isinstance(term, Bending))
     bend = np.abs(bending.curvature(end)).max(1)
-    at = bending.dofs[:, 0] // 3
-    place = scene.positions(end)[at]
-    reach = np.abs(scene.to_user(place[:, :2])).max(1)
+    at = bending.nodes[:, 0]
+    place = scene.sheet.positions(end)[at]
+    reach = np.abs(scene.sheet.to_user(place[:, :2])).max(1)
     touched = sum(contact.nodal_force(end) for contact in scene.contacts)[at] > 0
     gap = ~touched & (reach < OPENING) & (place[:, 2] < 0)
     found["largest curvature in the gap over that of the sharpest tool"] = bend[gap].max() * _mid(
@@ -149,10 +149,10 @@ def _box(result: qf.Result, orientation: int) -> dict[str, float]:
     return found
 
 
-def _mid(scene: qf.Scene) -> float:
+def _mid(scene: qf.Model) -> float:
     """Radius of the sheet's mid-surface around the sharpest edge of a tool, mm."""
     radius = min(getattr(contact.tool.shape, "sharpest", np.inf) for contact in scene.contacts)
-    return radius + scene.fabric.thickness / 2
+    return radius + scene.sheet.fabric.thickness / 2
 
 
 # What hangs on the assumed numbers
@@ -195,7 +195,7 @@ def _changes() -> dict[str, tuple[dict[str, float], dict[str, float]]]:
         return _shown(result)
 
     base = qf.solve(qf.forming("hemisphere", 0, size=COARSE), estimate=False)
-    reference, fabric = _shown(base), base.scene.fabric
+    reference, fabric = _shown(base), base.model.sheet.fabric
     numbers = {
         "punch and openings": ("radius", 75.0),
         "gap": ("gap", 5.0),
@@ -231,7 +231,7 @@ def _shown(result: qf.Result, factor: float = 1.0) -> dict[str, float]:
         "99th percentile": percentile(gamma, blank.areas, 0.99),
         "draw-in": float(np.mean(list(result.draw_in.values()))),
     }
-    for name, (centre, radius) in result.scene.areas.items():
+    for name, (centre, radius) in result.model.areas.items():
         inside = disc(blank, tuple(factor * np.array(centre)), radius)
         found[name] = float(blank.areas[inside] @ gamma[inside] / blank.areas[inside].sum())
     return found
@@ -247,7 +247,7 @@ def _largest(changes: dict, parameter: str) -> dict[str, float]:
 
 
 def _title(shape: str, orientation: int, result: qf.Result) -> str:
-    stopped = f", size {result.scene.size:g} mm only" if result.reason else ""
+    stopped = f", size {result.model.size:g} mm only" if result.reason else ""
     return f"{shape}, {orientation}°{stopped}"
 
 
@@ -266,7 +266,7 @@ def _contours(results: dict) -> Figure:
             for loop in result.outline():
                 axes.plot(*loop[:, :2].T, color="0.2", linewidth=0.6)
             formed = LinearNDInterpolator(blank.nodes, place)
-            for name, (centre, radius) in result.scene.areas.items():
+            for name, (centre, radius) in result.model.areas.items():
                 ring = np.array(centre) + radius * np.column_stack([np.cos(turn), np.sin(turn)])
                 axes.plot(*formed(ring).T, color="white", linewidth=2.2)
                 axes.plot(*formed(ring).T, color=AREAS[name], linewidth=1.2)

@@ -93,7 +93,7 @@ def _at_45() -> dict[str, float]:
     found, ideal = {}, KINEMATICS[45]
     for law in LAWS:
         result = _tension(45, law)
-        history, fabric = result.history, result.scene.fabric
+        history, fabric = result.history, result.model.sheet.fabric
         u = history["displacement_mm"]
         to_45, to_30 = (u > 0) & (u <= 45), u <= 30
         exact = ideal.force(u[to_45], fabric.shear.stress, fabric.thickness)
@@ -186,7 +186,7 @@ def _histories() -> Figure:
             shear.plot(to_limit, np.degrees(ideal.angles(to_limit)[0]), color="0.6", linewidth=2.5)
             for law, colour in LAWS.items():
                 result = _tension(angle, law)
-                history, fabric = result.history, result.scene.fabric
+                history, fabric = result.history, result.model.sheet.fabric
                 u = history["displacement_mm"]
                 balance = ideal.force(to_limit, fabric.shear.stress, fabric.thickness)
                 force.plot(to_limit, balance, color="0.6", linewidth=2.5)
