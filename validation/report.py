@@ -51,7 +51,7 @@ class About:
 def about(*, quick: bool, left_out: list[str]) -> About:
     """Describe this run."""
     identity = csr_array(np.eye(2))
-    solver = linear_solver("auto", identity, np.zeros((2, 2)), np.ones((2, 1))).name
+    solver = linear_solver("auto", identity, np.zeros((2, 2))).name
     versions = {"quasiform": _revision(package_version()), "Python": platform.python_version()}
     versions |= {name: _version(name) for name in PACKAGES}
     versions |= {name: found for name in OPTIONAL if (found := _version(name)) != "not installed"}
