@@ -158,7 +158,7 @@ def test_a_smooth_state_is_carried_exactly_where_cubics_are_exact():
     end.x[:] = coarse.model.x0
     bent = 1e-3 * X[:, 0] ** 2
     end.x[coarse.model.sheet.dofs[:, 2]] += bent
-    last = levels._Motion(coarse.model, np.zeros_like(end.x))
+    last = np.zeros_like(end.x)
     fine = qf.forming("hemisphere", size=10, travel=1)
     x, before = transferred(coarse, fine, last)
     Y = fine.sheet.blank.nodes

@@ -120,7 +120,7 @@ def _step(model: Model, linear: str) -> float:
         clock = time.perf_counter()
         equations.factor(x, 1.0)
         g = equations.potential.gradient(x, equations.memory)
-        equations.direction(x, g[equations.free])
+        equations.tangent.solve(g[equations.free])
         for term, state in zip(model.terms, equations.memory, strict=True):
             term.energy(x, state)
         taken.append(time.perf_counter() - clock)

@@ -17,8 +17,9 @@ import numpy as np
 from ..checks import InputError
 from ..model import Model
 from ..result.run import Result
-from .equilibrium import Equilibrium, NotConvergedError
+from .equilibrium import Equilibrium
 from .journal import Journal
+from .linear import NotConvergedError
 from .run import Run, Settings, TooCoarseError, dynamic_relaxation, proximal
 
 SHORTEST = 1 / 64  # of the largest increment
@@ -29,39 +30,20 @@ CHANGED = (
     "error of the mesh not estimated",
     "the model was changed by hand, or has no recipe (Model.including makes a change part of it)",
 )
-ESTIMATING = "interrupted while the error of the mesh was estimated"
 
 
 @dataclass(frozen=True)
 class Progress:
-    """What a callback is called with after each increment.
+    """What a callback is called with after each increment."""
 
-    Parameters
-    ----------
-    travel, goal : float
-        Where the run is and where it ends, mm (or the load factor).
-    residual : float
-        Sum of the nodal residuals relative to the driving force.
-    force : float
-        Driving force of the whole, N.
-    contacts : int
-        Points of the sheet that touch a tool.
-    linear_solves : float
-        So far; a count.
-    elapsed : float
-        Time so far, s.
-    measures : dict of str to float
-        What the history holds by increment, such as `shear_angle_max_deg`.
-    """
-
-    travel: float
-    goal: float
-    residual: float
-    force: float
-    contacts: int
-    linear_solves: int
-    elapsed: float
-    measures: dict[str, float] = field(default_factory=dict)
+    travel: float  # where the run is, mm (or the load factor)
+    goal: float  # where it ends
+    residual: float  # sum of the nodal residuals relative to the driving force
+    force: float  # driving force of the whole, N
+    contacts: int  # points of the sheet that touch a tool
+    linear_solves: int  # so far
+    elapsed: float  # s
+    measures: dict[str, float] = field(default_factory=dict)  # columns of the history by name
 
 
 Callback = Callable[[Progress], bool | str | None]
@@ -142,17 +124,17 @@ def solve(
         if model.changed:
             result.notes.append(CHANGED)
         else:
-            _estimated(result, settings, callback)
+            judge(result, settings, callback, 2 * model.size, 4 * model.size)
     if journal:
         journal.close(result)
     return result
 
 
-def _estimated(result: Result, settings: Settings, callback: Callback | None) -> None:
-    """Judge a result by the same model on coarser meshes."""
+def judge(result: Result, settings: Settings, callback: Callback | None, *sizes: float) -> None:
+    """Judge a result by the same model on coarser meshes, as far as its tools allow."""
     model, coarser = result.model, list[Result]()
     try:
-        for size in (2 * model.size, 4 * model.size):
+        for size in sizes:
             if size > model.coarsest and coarser:
                 break
             report(callback, f"error of the mesh: the same at {size:g} mm")
@@ -164,7 +146,7 @@ def _estimated(result: Result, settings: Settings, callback: Callback | None) ->
     except InputError:  # too coarse to be built: the result stands with what there is
         pass
     except KeyboardInterrupt:
-        result.reason = ESTIMATING
+        result.reason = "interrupted while the error of the mesh was estimated"
     result.judge(coarser)
 
 

@@ -13,8 +13,9 @@ from __future__ import annotations
 
 import io
 import json
-from contextlib import suppress
-from dataclasses import asdict, fields
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from shutil import rmtree
 from typing import Any
@@ -24,7 +25,6 @@ import numpy as np
 
 from ..checks import InputError
 from ..model import Model
-from ..potential import Memory
 from ..recipe import Recipe
 from ..result.files import FILES, RESUME, added, check_folder
 from ..result.run import Result, State
@@ -32,8 +32,16 @@ from .run import Account, Entry, Run
 
 FloatArray = np.ndarray
 FORMAT = 2
-COUNTED = ("carried_on", "relaxed", "travel")  # of the equations
-WORKED = ("factorisations", "seconds", "convex_taken")  # of the tangent
+UNREADABLE = (
+    OSError,
+    ValueError,
+    KeyError,
+    TypeError,
+    AttributeError,
+    IndexError,
+    EOFError,
+    BadZipFile,
+)
 
 
 class Journal:
@@ -84,21 +92,26 @@ class Journal:
                 status = json.loads((self.folder / "summary.json").read_bytes())["status"]
             done = ": it is completed" if status == "completed" else f" ({RESUME})"
             raise InputError(f"{self.folder} holds no run that can be continued{done}")
+        with self._reading(), path.open("rb") as stream, np.load(stream) as file:
+            arrays = {name: file[name] for name in file.files}
+            self.held = {**json.loads(str(arrays.pop("head"))), "arrays": arrays}
+            known = self.held.get("format", 1)
+            if known != FORMAT:
+                raise InputError(
+                    f"{path}: a record of format {known}, this version continues {FORMAT}: "
+                    "start the run again"
+                )
+            self.options = self.held["options"]
+
+    @contextmanager
+    def _reading(self) -> Iterator[None]:
+        """Refuse what is no record of a run, or a damaged one."""
         try:
-            with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-                arrays = {name: file[name] for name in file.files}
-            held = {**json.loads(str(arrays.pop("head"))), "arrays": arrays}
-            known = held.get("format", 1)
-            if known == FORMAT:
-                self.options = held["options"]
-        except (OSError, ValueError, KeyError, TypeError, BadZipFile, EOFError) as error:
-            raise InputError(f"{path}: not a record of a run ({error})") from error
-        if known != FORMAT:
-            raise InputError(
-                f"{path}: a record of format {known}, this version continues {FORMAT}: "
-                "start the run again"
-            )
-        self.held = held
+            yield
+        except InputError:
+            raise
+        except UNREADABLE as error:
+            raise InputError(f"{self.folder / RESUME}: not a record of a run ({error})") from error
 
     def model(self) -> Model:
         """Build the model of the recorded run from its recipe.
@@ -119,21 +132,9 @@ class Journal:
             raise InputError(f"{self.folder}: not a record of a run ({error})") from error
 
     def record(self, run: Run, step: float, elapsed: float) -> None:
-        """Write the run as it stands.
+        """Write the run as it stands after an increment; `step` is the size of the next, mm.
 
-        Parameters
-        ----------
-        run : Run
-            After a converged increment.
-        step : float
-            Size of the next increment, mm.
-        elapsed : float
-            Time so far, s.
-
-        Raises
-        ------
-        OSError
-            If the folder is gone or cannot be written; what was there stays.
+        Raises OSError if the folder is gone or cannot be written; what was there stays.
         """
         with added(self.folder, instead=() if self._rows else FILES) as staging:
             (staging / RESUME).write_bytes(self._checkpoint(run, step, elapsed))
@@ -147,7 +148,7 @@ class Journal:
                 self._rows = len(run.states)
 
     def _checkpoint(self, run: Run, step: float, elapsed: float) -> bytes:
-        equations, states = run.equations, run.states
+        states = run.states
         head = {
             "format": FORMAT,
             "recipe": _recipe(run),
@@ -158,30 +159,29 @@ class Journal:
             "elapsed": elapsed,
             "travel": run.travel,
             "account": asdict(run.account),
-            "equations": {name: getattr(equations, name) for name in COUNTED},
-            "tangent": {name: getattr(equations.tangent, name) for name in WORKED},
+            "counted": [{name: getattr(of, name) for name in names} for of, names in _counted(run)],
+        }
+        rows = [[s.travel, s.force, s.linear_solves, *s.measures.values()] for s in states]
+        memory = {
+            f"term {i} {entry.name}": getattr(state, entry.name)
+            for i, state in enumerate(run.memory)
+            if state is not None
+            for entry in fields(state)
         }
         stream = io.BytesIO()
         np.savez(
             stream,
             head=np.array(_json(head)),
             x=run.x,
-            g=equations.gradient(run.x),
+            g=run.equations.gradient(run.x),
             states=np.array([state.x for state in states]),
-            rows=np.array(
-                [[s.travel, s.force, s.linear_solves, *s.measures.values()] for s in states]
-            ),
-            **_arrays(run.memory),
+            rows=np.array(rows),
+            **memory,
         )
         return stream.getvalue()
 
     def restore(self, run: Run) -> tuple[float, float]:
-        """Put a run of the same model where the recorded one was.
-
-        Parameters
-        ----------
-        run : Run
-            At its start.
+        """Put a run of the same model, at its start, where the recorded one was.
 
         Returns
         -------
@@ -195,49 +195,43 @@ class Journal:
         InputError
             If the model or the settings are others, or the record is damaged.
         """
-        try:
-            return self._restored(run)
-        except InputError:
-            raise
-        except (KeyError, TypeError, AttributeError, IndexError, ValueError) as error:
-            raise InputError(f"{self.folder / RESUME}: not a record of a run ({error})") from error
-
-    def _restored(self, run: Run) -> tuple[float, float]:
-        held, arrays, model = self.held, self.held["arrays"], run.model
+        held, model = self.held, run.model
         other = InputError(
             f"{self.folder}: the run there is of another input: scene, material or program have "
             "changed since"
         )
         given = json.loads(_json(model.parameters))
         settings = json.loads(_json(asdict(run.settings)))
-        if changed := [name for name in settings if settings[name] != held["settings"][name]]:
-            raise InputError(
-                f"{self.folder}: the run there was made with another {', '.join(changed)}"
+        with self._reading():
+            arrays = held["arrays"]
+            if changed := [name for name in settings if settings[name] != held["settings"][name]]:
+                raise InputError(
+                    f"{self.folder}: the run there was made with another {', '.join(changed)}"
+                )
+            for parameters in (given, held["parameters"]):
+                parameters.pop("scene_file", None)  # it may have moved
+            if held["parameters"] != given or arrays["x"].shape != model.x0.shape:
+                raise other
+            run.x, run.travel = arrays["x"], held["travel"]
+            run.states = [
+                State(s, x, force, int(n), dict(zip(model.measures, measures, strict=True)))
+                for x, (s, force, n, *measures) in zip(
+                    arrays["states"], arrays["rows"].tolist(), strict=True
+                )
+            ]
+            run.account = Account(**held["account"] | {"entry": Entry(**held["account"]["entry"])})
+            run.memory = tuple(
+                None if s is None else replace(s, **_starting(f"term {i} ", arrays))
+                for i, s in enumerate(run.memory)
             )
-        for parameters in (given, held["parameters"]):
-            parameters.pop("scene_file", None)  # it may have moved
-        if held["parameters"] != given or arrays["x"].shape != model.x0.shape:
-            raise other
-        run.x, run.travel = arrays["x"], held["travel"]
-        run.states = [
-            State(row[0], x, row[1], int(row[2]), dict(zip(model.measures, row[3:], strict=True)))
-            for x, row in zip(arrays["states"], arrays["rows"].tolist(), strict=True)
-        ]
-        account = held["account"] | {"entry": Entry(**held["account"]["entry"])}
-        run.account = Account(**account)
-        for name in COUNTED:
-            setattr(run.equations, name, held["equations"][name])
-        run.memory = tuple(
-            None if state is None else type(state)(**_parts(arrays, f"term {i} "))
-            for i, state in enumerate(run.memory)
-        )
-        run.equations.take(run.memory)
-        g = run.equations.gradient(run.x)
-        if not np.allclose(g, arrays["g"], rtol=1e-9, atol=1e-9 * np.abs(arrays["g"]).max()):
-            raise other
-        run.equations.certify(run.x)  # as the run had done: the next steps are the same ones
-        for name in WORKED:
-            setattr(run.equations.tangent, name, held["tangent"][name])
+            run.equations.take(run.memory)
+            g = run.equations.gradient(run.x)
+            if not np.allclose(g, arrays["g"], rtol=1e-9, atol=1e-9 * np.abs(arrays["g"]).max()):
+                raise other
+            run.equations.certify(run.x)  # as the run had done: the next steps are the same ones
+            for (of, _), values in zip(_counted(run), held["counted"], strict=True):
+                for name, value in values.items():
+                    setattr(of, name, value)
         self._rows = len(run.states)
         return held["step"], held["elapsed"]
 
@@ -245,10 +239,6 @@ class Journal:
         """Write the result; a completed run cannot be continued.
 
         Where it cannot be written, this becomes the `reason` of the result.
-
-        Parameters
-        ----------
-        result : Result
         """
         try:
             with added(self.folder) as staging:
@@ -265,16 +255,6 @@ class Journal:
                 result.reason = f"{result.reason}; {reason}" if result.reason else reason
 
 
-def _arrays(memory: Memory) -> dict[str, FloatArray]:
-    """Arrays of the states of the terms by name."""
-    return {
-        f"term {i} {entry.name}": getattr(state, entry.name)
-        for i, state in enumerate(memory)
-        if state is not None
-        for entry in fields(state)
-    }
-
-
 def _recipe(run: Run) -> dict[str, Any] | None:
     """The recipe of a run's model in numbers and text; None where there is none to be read back."""
     if run.model.changed:
@@ -289,5 +269,14 @@ def _json(content: Any) -> str:
     return json.dumps(content, default=np.generic.item)
 
 
-def _parts(arrays: dict[str, FloatArray], prefix: str) -> dict[str, FloatArray]:
+def _starting(prefix: str, arrays: dict[str, Any]) -> dict[str, Any]:
     return {k.removeprefix(prefix): v for k, v in arrays.items() if k.startswith(prefix)}
+
+
+def _counted(run: Run) -> tuple[tuple[Any, tuple[str, ...]], ...]:
+    """Objects of a run beside its account, and what of them goes into a checkpoint."""
+    equations = run.equations
+    return (
+        (equations, ("carried_on", "relaxed", "travel")),
+        (equations.tangent, ("factorisations", "convex_taken", "share")),
+    )

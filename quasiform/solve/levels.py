@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import time
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -25,9 +24,10 @@ from ..model import Model
 from ..net.transfer import smoothly
 from ..potential import Memory
 from ..result.run import Result, State
-from .equilibrium import Equilibrium, NotConvergedError
-from .increments import CHANGED, ESTIMATING, Callback, follow, report
+from .equilibrium import Equilibrium
+from .increments import CHANGED, Callback, follow, judge, report
 from .journal import Journal
+from .linear import NotConvergedError
 from .run import Run, Settings
 
 FloatArray = np.ndarray
@@ -134,7 +134,7 @@ def _refined(
     result = levels[-1]
     result.judge(levels[:-1])
     if len(levels) == 1 and not result.reason:
-        _judged_by_coarser(result, settings, callback)
+        judge(result, settings, callback, 2 * model.size)
     return result
 
 
@@ -147,20 +147,6 @@ def _coarser(model: Model) -> list[Model]:
         except InputError:  # too coarse for the blank
             break
     return models
-
-
-def _judged_by_coarser(result: Result, settings: Settings, callback: Callback | None) -> None:
-    """Judge a result by the same model on a mesh twice as coarse."""
-    model = result.model
-    report(callback, f"error of the mesh: the same at {2 * model.size:g} mm")
-    try:
-        coarse = follow(model.recipe.build(2 * model.size, like=model), settings, partial=False)
-        result.add_work(coarse)
-        result.judge([coarse])
-    except InputError:  # too coarse to be built: the result stands without an estimate
-        pass
-    except KeyboardInterrupt:
-        result.reason = ESTIMATING
 
 
 def _worth_refining(levels: list[Result], accuracy: float | None) -> bool:
@@ -186,28 +172,21 @@ def _check_accuracy(result: Result, accuracy: float | None) -> None:
         )
 
 
-@dataclass(frozen=True)
-class _Motion:
-    """Motion of all unknowns over the last increment of a path, (n_dofs,) mm."""
-
-    model: Model
-    dx: FloatArray
-
-
-def _last_increment(path: Result) -> _Motion:
+def _last_increment(path: Result) -> FloatArray:
+    """(n_dofs,) motion of all unknowns over the last increment of a path, mm."""
     end = path.states[-1]
     rows = [s for s in path.states if s.travel <= end.travel - CARRIED * (1 - 1e-9)]
-    return _Motion(path.model, end.x - (rows[-1] if rows else path.states[0]).x)
+    return end.x - (rows[-1] if rows else path.states[0]).x
 
 
 def _carry(
     coarse: Result,
     model: Model,
-    last: _Motion,
+    last: FloatArray,
     path: Result,
     callback: Callback | None,
     settings: Settings,
-) -> tuple[Result, Result, _Motion]:
+) -> tuple[Result, Result, FloatArray]:
     """Solve the end of a model from that of a coarser one; the path too where that fails.
 
     Returns the result, the path behind it and its last increment.
@@ -239,7 +218,7 @@ def _carry(
     result.stabilisation, result.snaps = path.stabilisation, path.snaps
     result.increments = path.increments + 1
     _add_work(result, coarse, 0)
-    return result, path, _Motion(model, x - before)
+    return result, path, x - before
 
 
 def _add_work(result: Result, coarse: Result, failed: int) -> None:
@@ -251,29 +230,19 @@ def _add_work(result: Result, coarse: Result, failed: int) -> None:
     }
 
 
-def transferred(coarse: Result, model: Model, last: _Motion) -> tuple[FloatArray, FloatArray]:
-    """Bring the end of a result to another mesh of the same model.
+def transferred(coarse: Result, model: Model, last: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Bring the end of a result to another mesh of the same model, by its last increment.
 
-    Parameters
-    ----------
-    coarse : Result
-    model : Model
-    last : _Motion
-        Over the last increment.
-
-    Returns
-    -------
-    x, before : (n_dofs,) arrays, mm
-        Unknowns at the end, and one increment earlier.
+    The unknowns at the end and one increment earlier, (n_dofs,) arrays, mm.
     """
     old, end = coarse.model, coarse.states[-1]
     x, dx = model.x0.copy(), np.zeros_like(model.x0)
     for field in model.unknowns.fields:
         theirs = old.unknowns[field.name]
         if field.places is None:
-            x[field.dofs], dx[field.dofs] = theirs.of(end.x), theirs.of(last.dx)
+            x[field.dofs], dx[field.dofs] = theirs.of(end.x), theirs.of(last)
             continue
-        both = np.hstack([theirs.of(end.x) - theirs.of(old.x0), theirs.of(last.dx)])
+        both = np.hstack([theirs.of(end.x) - theirs.of(old.x0), theirs.of(last)])
         moved, increment = np.hsplit(smoothly(theirs.places, both, field.places), 2)
         x[field.dofs] += moved
         dx[field.dofs] = np.where(model.fixed[field.dofs], 0.0, increment)
@@ -282,17 +251,9 @@ def transferred(coarse: Result, model: Model, last: _Motion) -> tuple[FloatArray
 
 
 def carried(
-    coarse: Result, model: Model, last: _Motion, x: FloatArray, before: FloatArray
+    coarse: Result, model: Model, last: FloatArray, x: FloatArray, before: FloatArray
 ) -> Memory:
-    """Bring the states of the terms to another mesh, each term by its own rule.
-
-    Parameters
-    ----------
-    coarse, model, last
-        As in `transferred`.
-    x, before : (n_dofs,) arrays, mm
-        What that returned.
-    """
+    """Bring the states of the terms to another mesh, each by its own rule; see `transferred`."""
     old, end = coarse.model, coarse.states[-1]
     known = {t.name: (t, s) for t, s in zip(old.terms, coarse.memory, strict=True)}
     states = []
@@ -300,7 +261,7 @@ def carried(
         theirs, state = known.get(term.name, (None, None))
         was = None
         if theirs is not None:
-            was = Standing(theirs, old.unknowns, state, end.x, end.x - last.dx)
+            was = Standing(theirs, old.unknowns, state, end.x, end.x - last)
         states.append(term.carried(state, was, Standing(term, model.unknowns, None, x, before)))
     return tuple(states)
 

@@ -22,7 +22,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigsh
 
-from .equilibrium import Equilibrium, NotConvergedError
+from .equilibrium import Equilibrium
+from .linear import NotConvergedError
 
 FloatArray = np.ndarray
 SLIDING = 60  # convex tangents in one solve, from which on a sheet slides off a saddle
@@ -31,9 +32,9 @@ SLIDING = 60  # convex tangents in one solve, from which on a sheet slides off a
 def predict(equations: Equilibrium, x: FloatArray, travel: float) -> FloatArray:
     """Move the prescribed unknowns to `travel` and the others along the tangent."""
     motion, free = equations.motion_to(x, travel), equations.free
-    _, load = equations.factor_definite(x, motion=motion)
+    _, load = equations.tangent.factor_definite(x, equations.memory, motion)
     moved = x + motion
-    moved[free] += equations.direction(x, equations.gradient(x)[free] + load)
+    moved[free] -= equations.tangent.solve(equations.gradient(x)[free] + load)
     equations.travel = travel
     if not np.isfinite(moved).all() or equations.model.turned_over(x, moved):
         moved = x + motion
@@ -49,10 +50,7 @@ def minimise(
 ) -> FloatArray:
     """Newton iterations with the lagged values as they are, to the tolerance or a looser one.
 
-    Raises
-    ------
-    NotConvergedError
-        With the reason, the place of the largest residual and the best state.
+    Raises NotConvergedError with the reason, the place of the largest residual and the last state.
     """
     free, tangent = equations.free, equations.tangent
     tolerance = tolerance or equations.tolerance
@@ -73,11 +71,12 @@ def minimise(
             equations.factor(x, 1.0, stress=stress)
             convex_left -= 1
         else:
-            exact, _ = equations.factor_definite(x, stress=stress, sliding=sliding)
+            memory = equations.memory
+            exact, _ = tangent.factor_definite(x, memory, stress=stress, sliding=sliding)
             taken += not exact
             convex_left = 0 if exact or sliding else 1
         d = np.zeros_like(x)
-        d[free] = equations.direction(x, g[free])
+        d[free] = -tangent.solve(g[free])
         if stress is not None:
             tangent.forget()  # no tangent of this state
         energies = [*energies[-7:], equations.energy(x)]
@@ -138,10 +137,6 @@ def settle(equations: Equilibrium, x: FloatArray) -> FloatArray:
     solved to a fifth of what the last refreshing had left, no further. After a snap a sheet
     may still creep for dozens of passes; on the way, the next increment may take over the last
     of it.
-
-    Raises
-    ------
-    NotConvergedError
     """
     mixed, goal = equations.mixed, equations.goal
     passes = 60 if equations.at_end else 12

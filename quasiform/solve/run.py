@@ -18,7 +18,8 @@ import numpy as np
 from ..checks import InputError, check_number
 from ..potential import Memory
 from ..result.run import Result, State
-from .equilibrium import Equilibrium, NotConvergedError
+from .equilibrium import Equilibrium
+from .linear import NotConvergedError
 from .newton import downhill, predict, settle
 from .proximal import creep
 from .relaxation import relax
@@ -70,36 +71,18 @@ class Entry:
 
 @dataclass
 class Account:
-    """Where a run is with its energy, and how it came there; all of it goes into a checkpoint.
+    """Where a run is with its energy, and how it came there; all of it goes into a checkpoint."""
 
-    Parameters
-    ----------
-    entry : Entry
-        Of the last increment.
-    work, gap, damped : float
-        Work done by the travel, what the balance misses of it, and what the rescues took up, mJ.
-    increments : int
-    rescues : dict of rung to count
-    snaps : list of dict
-        Where the sheet jumped, and the energy that this released.
-    missed : (float, float)
-        Target and gap of an increment that was too coarse.
-    collapse : dict, optional
-        Where a triangle first collapsed.
-    ended : str
-        Why there is no way on from here.
-    """
-
-    entry: Entry = field(default_factory=lambda: Entry(0.0, 0.0, 0.0))
-    work: float = 0.0
-    gap: float = 0.0
-    damped: float = 0.0
+    entry: Entry = field(default_factory=lambda: Entry(0.0, 0.0, 0.0))  # of the last increment
+    work: float = 0.0  # done by the travel, mJ
+    gap: float = 0.0  # what the balance misses of it, mJ
+    damped: float = 0.0  # what the rescues took up, mJ
     increments: int = 0
-    rescues: dict[str, int] = field(default_factory=dict)
-    snaps: list[dict[str, float]] = field(default_factory=list)
-    missed: tuple[float, float] = (-np.inf, np.inf)
-    collapse: dict[str, Any] | None = None
-    ended: str = ""
+    rescues: dict[str, int] = field(default_factory=dict)  # uses of each rung
+    snaps: list[dict[str, float]] = field(default_factory=list)  # where the sheet jumped
+    missed: tuple[float, float] = (-np.inf, np.inf)  # target and gap of one that was too coarse
+    collapse: dict[str, Any] | None = None  # where a triangle first collapsed
+    ended: str = ""  # why there is no way on from here
 
     def count(self, rung: str) -> None:
         """Count one use of a rung."""
@@ -107,13 +90,7 @@ class Account:
 
 
 class Run:
-    """One run of a model.
-
-    Parameters
-    ----------
-    equations : Equilibrium
-    settings : Settings
-    """
+    """One run of a model: the state it has come to, the states kept, and the energy account."""
 
     def __init__(self, equations: Equilibrium, settings: Settings) -> None:
         self.equations, self.settings, self.model = equations, settings, equations.model
@@ -125,11 +102,10 @@ class Run:
 
     def start(self) -> FloatArray:
         """Equilibrium before any travel (a holder settling on the sheet)."""
-        equations, x0 = self.equations, self.model.x0
-        x = x0.copy()
+        x0 = self.model.x0
         if not self.model.resting:
-            return x
-        x = self._shaken(x)
+            return x0.copy()
+        x = self._shaken(x0.copy())
         if self.settings.method == "relaxation":
             x = self._relaxed(x, 0.0)
         else:
@@ -139,8 +115,7 @@ class Run:
                 self.back()
                 self.account.count("dynamic relaxation")
                 x = self._solve(self._relaxed(x0, 0.0, 1e-2, 5000))
-        self._accept(x, equations.potential.commit(x, equations.memory))
-        return x
+        return self._committed(x)
 
     def open(self, x: FloatArray, travel: float = 0.0) -> None:
         """Begin the energy account at the start, or where a run takes over."""
@@ -148,13 +123,10 @@ class Run:
         self.account.entry = self._entry(x, travel, self.memory)
 
     def settle(self, x: FloatArray) -> FloatArray:
-        """Find the equilibrium near x and commit it.
+        """Find the equilibrium near x and commit it."""
+        return self._committed(self._solve(x))
 
-        Raises
-        ------
-        NotConvergedError
-        """
-        x = self._solve(x)
+    def _committed(self, x: FloatArray) -> FloatArray:
         self._accept(x, self.equations.potential.commit(x, self.equations.memory))
         return x
 
@@ -163,18 +135,8 @@ class Run:
     def advance(self, target: float, rungs: list[Rung], weigh: bool) -> None:
         """Bring the state to the travel `target` and commit it.
 
-        Parameters
-        ----------
-        target : float
-        rungs : list of functions (run, target) to x
-            What to try, in order, where Newton's method fails.
-        weigh : bool
-            Refuse an increment over which the energy balance is open by too much.
-
-        Raises
-        ------
-        NotConvergedError
-        TooCoarseError
+        The rungs are tried in order where Newton's method fails. With `weigh` an increment over
+        which the energy balance is open by too much raises TooCoarseError.
         """
         account, s = self.account, self.travel
         saddles, damped = account.rescues.get("saddle left", 0), account.damped
@@ -210,7 +172,8 @@ class Run:
 
     def back(self) -> None:
         """Undo what a failed increment has changed."""
-        self.equations.back_to(self.memory, self.travel)
+        self.equations.travel = self.travel
+        self.equations.take(self.memory)
 
     def _accept(self, x: FloatArray, memory: Memory) -> None:
         self.equations.accept(x, memory)
@@ -274,8 +237,6 @@ class Run:
         Near a limit point the way down is flat and curved, and each try takes twice the stride of
         the last. After `tries` the saddle is kept; the certificate says so.
         """
-        if not self.equations.tangent.inertia:
-            return x
         for i in range(tries):
             negative, _ = self.equations.factor(x, 0.0)
             if not negative:

@@ -54,7 +54,10 @@ def spread(
         for seed in seeds
     ]
     ended = [run for run in runs if run.states[-1].travel == base.states[-1].travel]
-    found = [run.quantities | _numbers(run.wrinkles) for run in ended]
+    found = [
+        run.quantities | {name: value for name, value in run.wrinkles.items() if value is not None}
+        for run in ended
+    ]
     table = {}
     for name in found[0]:
         values = [quantities[name] for quantities in found if name in quantities]
@@ -69,7 +72,3 @@ def spread(
         }
     result.spread = table
     return table
-
-
-def _numbers(table: dict[str, float | None]) -> dict[str, float]:
-    return {name: value for name, value in table.items() if value is not None}
