@@ -10,9 +10,8 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from .energy.term import Term
+from .unknowns import FloatArray, IntArray
 
-FloatArray = np.ndarray
-IntArray = np.ndarray
 Memory = tuple[Any, ...]
 """The states of all terms, in their order; owned by a run."""
 
@@ -28,15 +27,9 @@ class _Share:
 
 
 class Potential:
-    """The sum of the energy terms.
+    """The sum of the energy terms over the free unknowns (n_dofs,) bool.
 
-    Parameters
-    ----------
-    terms : list of Term
-    free : (n_dofs,) bool array
-        Unknowns to be solved for.
-    memory : tuple
-        States of the terms, whose stencils set the pattern.
+    The stencils of the terms, in their states, set the pattern.
     """
 
     def __init__(self, terms: Sequence[Term], free: np.ndarray, memory: Memory) -> None:
@@ -133,25 +126,12 @@ class Potential:
         motion: FloatArray | None = None,
         stress: FloatArray | None = None,
     ) -> tuple[FloatArray, FloatArray]:
-        """Upper triangle of the free Hessian in the pattern, and its product with a motion.
+        """Upper triangle of the free Hessian, and its product with a motion.
 
-        Parameters
-        ----------
-        x : (n_dofs,) array, mm
-        memory : tuple
-        convex : bool
-            Take the nearby positive semi-definite Hessian of each term.
-        motion : (n_dofs,) array, mm, optional
-            A motion of the prescribed unknowns.
-        stress : array, optional
-            For the terms that foresee one.
-
-        Returns
-        -------
-        values : (nnz,) array, N/mm
-            Data for `pattern` (upper triangle, CSR).
-        load : (n_free,) array, N
-            Change of the free forces under `motion`; zeros without one.
+        The first are data (nnz,) for `pattern` (CSR), N/mm; with `convex` of the nearby positive
+        semi-definite Hessian of each term, with `stress` of the terms that foresee one. The second
+        is the change of the free forces (n_free,), N, under a motion (n_dofs,) of the prescribed
+        unknowns; zeros without one.
         """
         values = self._constant.copy()
         load = np.zeros(len(x))

@@ -22,22 +22,14 @@ import numpy as np
 from skfem import Basis, ElementLineP1
 
 from ..net.blank import Blank
-from ..unknowns import Sheet
+from ..unknowns import FloatArray, IntArray, Sheet
 from .term import Term
-
-FloatArray = np.ndarray
-IntArray = np.ndarray
 
 
 class Bending(Term):
     """Bending of warp and weft lines, five nodes a stencil: (centre, warp -, +, weft -, +).
 
-    Parameters
-    ----------
-    sheet : Sheet
-        In space.
-    clamped : (n_nodes,) bool array, optional
-        Nodes in a clamp: lines that end there keep their flat direction.
+    Lines that end at a `clamped` (n_nodes,) bool node keep their flat direction.
     """
 
     def __init__(self, sheet: Sheet, clamped: np.ndarray | None = None) -> None:
@@ -104,7 +96,7 @@ class Bending(Term):
         self.constant = constant
         self.operator = (rows[:, :, None] * np.eye(3)[None, None, :, None, :]).reshape(m, 12, 3 * k)
         self.sheet, self.nodes, fabric = sheet, nodes, sheet.fabric
-        self.name = f"bending of the {sheet.name}" if sheet.name != "sheet" else "bending"
+        self.name = sheet.named("bending")
         self.dofs = sheet.dofs[nodes].reshape(m, 3 * k)
         self.stiffness = areas[:, None] * [fabric.bending_warp, fabric.bending_weft]
         self.in_plane = fabric.in_plane_bending
@@ -128,7 +120,6 @@ class Bending(Term):
         return k, u, v, m / length[:, None], length
 
     def energy(self, x: FloatArray, state: None = None) -> FloatArray:
-        """Energy of each stencil, mJ."""
         r = self.in_plane
         if r == 1:
             k = self._second_differences(x)
@@ -149,7 +140,6 @@ class Bending(Term):
         return k, u, v, n, length, kappa, q, d
 
     def gradient(self, x: FloatArray, state: None = None) -> FloatArray:
-        """Nodal forces of each stencil, N."""
         r = self.in_plane
         if r == 1:
             force = self.stiffness[..., None] * self._second_differences(x)
@@ -160,10 +150,7 @@ class Bending(Term):
         return (force.reshape(-1, 1, 12) @ self.operator)[:, 0]
 
     def hessian(self, x: FloatArray, state: None, convex: bool) -> FloatArray:
-        """Stiffness of each stencil, N/mm; positive semi-definite with `convex`.
-
-        The convex variant leaves out the part with the second derivative of κ (Gauss-Newton).
-        """
+        """With `convex` without the part with the second derivative of κ (Gauss-Newton)."""
         r = self.in_plane
         if r == 1:
             K = self.operator[:, :6]

@@ -17,18 +17,11 @@ from scipy.sparse import csr_array
 from ..unknowns import Sheet
 from .bending import Bending
 
-FloatArray = np.ndarray
 NEIGHBOURS = 9  # at most; five are needed
 
 
 class PatchBending(Bending):
-    """Bending of warp and weft at every node of a blank on any mesh.
-
-    Parameters
-    ----------
-    sheet : Sheet
-        In space.
-    """
+    """Bending of warp and weft at every node of a sheet in space, on any mesh."""
 
     def __init__(self, sheet: Sheet) -> None:
         blank = sheet.blank

@@ -25,10 +25,7 @@ from typing import Any
 import numpy as np
 
 from ..net.transfer import interpolated
-from ..unknowns import Unknowns
-
-FloatArray = np.ndarray
-IntArray = np.ndarray
+from ..unknowns import FloatArray, IntArray, Unknowns
 
 
 class Term:
@@ -77,46 +74,30 @@ class Term:
         return 0.0
 
     def carried(self, state: Any, old: Standing | None, new: Standing) -> Any:
-        """Carry the state to another mesh: its arrays, one row a stencil, are interpolated.
+        """Carry a state to another mesh: its arrays, one row a stencil, are interpolated.
 
-        Parameters
-        ----------
-        state : dataclass of arrays or None
-            On the other mesh; None where the term is not there.
-        old, new : Standing
-            This term on the other mesh (None where it is not there), and here.
+        `old` is this term on the other mesh (None where it is not there), and `new` here.
         """
         if state is None or old is None:
             return self.initial(new.x)
         values = {f.name: getattr(state, f.name) for f in fields(state)}
-        return replace(
-            state,
-            **{
-                name: interpolated(old.places, value, new.places)
-                for name, value in values.items()
-                if isinstance(value, np.ndarray) and len(value) == len(old.places)
-            },
-        )
+        by_stencil = {
+            name: interpolated(old.places, value, new.places)
+            for name, value in values.items()
+            if isinstance(value, np.ndarray) and len(value) == len(old.places)
+        }
+        return replace(state, **by_stencil)
 
 
 @dataclass(frozen=True, eq=False)
 class Standing:
-    """A term on one mesh, at the end of a run.
-
-    Parameters
-    ----------
-    term : Term
-    unknowns : Unknowns
-    state : dataclass of arrays or None
-    x, before : (n_dofs,) arrays, mm
-        At the end, and one increment earlier.
-    """
+    """A term on one mesh, at the end of a run."""
 
     term: Term
     unknowns: Unknowns
     state: Any
-    x: FloatArray
-    before: FloatArray
+    x: FloatArray  # (n_dofs,)
+    before: FloatArray  # (n_dofs,), one increment earlier
 
     @property
     def places(self) -> FloatArray:

@@ -21,9 +21,7 @@ from ..model import Model
 from ..net.blank import Blank, rectangle
 from ..net.free_mesh import PAIRED, check_same_size, own_mesh, triangulate
 from ..recipe import built
-from ..unknowns import Unknowns
-
-FloatArray = np.ndarray
+from ..unknowns import FloatArray, Unknowns
 
 
 def off_axis_tension(

@@ -39,7 +39,6 @@ from .room import check_clearance, mirror_planes
 from .scene_file import SceneFile, SurfaceFile, ToolPart
 from .supports import fix_supports, grips, keep_middle
 
-FloatArray = np.ndarray
 Description = list[tuple[str, str]]
 SIZE = 5.0  # mm, the default
 

@@ -11,10 +11,10 @@ import numpy as np
 from ..energy.term import Term
 from ..model import Model
 from ..potential import Memory, Potential
+from ..unknowns import FloatArray
 from .linear import NotConvergedError
 from .tangent import Tangent
 
-FloatArray = np.ndarray
 LEAST_FORCE = 1e-6  # N: what a driving force counts for where a tool has not touched yet
 LOOSER = 30.0  # tolerance on the way where lagged values have to settle, relative to the end's
 

@@ -30,7 +30,6 @@ from ..result.files import FILES, RESUME, added, check_folder
 from ..result.run import Result, State
 from .run import Account, Entry, Run
 
-FloatArray = np.ndarray
 FORMAT = 2
 UNREADABLE = (
     OSError,

@@ -24,13 +24,13 @@ from ..model import Model
 from ..net.transfer import smoothly
 from ..potential import Memory
 from ..result.run import Result, State
+from ..unknowns import FloatArray
 from .equilibrium import Equilibrium
 from .increments import CHANGED, Callback, follow, judge, report
 from .journal import Journal
 from .linear import NotConvergedError
 from .run import Run, Settings
 
-FloatArray = np.ndarray
 MOST = 100  # Newton iterations of one solve on a finer mesh, before the path is followed there
 FINEST = 16  # of the size asked for, when refining to an accuracy
 CARRIED = 5.0  # mm: length of the last increment that friction starts from, at least a row

@@ -11,8 +11,8 @@ from scipy.sparse import csc_array, csr_array
 from scipy.sparse.linalg import splu
 
 from ..checks import InputError, suggestion
+from ..unknowns import FloatArray
 
-FloatArray = np.ndarray
 NAMES = ("auto", "pardiso", "superlu")
 
 

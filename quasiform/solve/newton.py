@@ -22,10 +22,10 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigsh
 
+from ..unknowns import FloatArray
 from .equilibrium import Equilibrium
 from .linear import NotConvergedError
 
-FloatArray = np.ndarray
 SLIDING = 60  # convex tangents in one solve, from which on a sheet slides off a saddle
 
 

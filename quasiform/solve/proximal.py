@@ -17,11 +17,11 @@ from __future__ import annotations
 import numpy as np
 
 from ..energy.term import Term
+from ..unknowns import FloatArray
 from .equilibrium import Equilibrium
 from .linear import NotConvergedError
 from .newton import minimise
 
-FloatArray = np.ndarray
 FIRST, LEAST, MOST = 1e-2, 1e-6, 10.0  # m, N/mm³; the stick of friction is 0.1
 STEPS = 60
 ITERATIONS = 40  # of Newton's method in one step

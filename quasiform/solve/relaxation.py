@@ -14,10 +14,10 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse import csr_array
 
+from ..unknowns import FloatArray
 from .equilibrium import Equilibrium
 from .linear import NotConvergedError
 
-FloatArray = np.ndarray
 RAMP, REFRESHED = 400, 50  # iterations
 
 

@@ -18,13 +18,13 @@ import numpy as np
 from ..checks import InputError, check_number
 from ..potential import Memory
 from ..result.run import Result, State
+from ..unknowns import FloatArray
 from .equilibrium import Equilibrium
 from .linear import NotConvergedError
 from .newton import downhill, predict, settle
 from .proximal import creep
 from .relaxation import relax
 
-FloatArray = np.ndarray
 MOST_RELAXED = 60_000  # iterations of a run by dynamic relaxation alone
 WEIGHED = 5e-3  # of the work to come: what an increment may miss by the trapezoidal rule
 

@@ -8,9 +8,9 @@ from __future__ import annotations
 import numpy as np
 
 from ..potential import Memory, Potential
+from ..unknowns import FloatArray
 from .linear import SingularMatrixError, linear_solver
 
-FloatArray = np.ndarray
 LEAST_SHARE = 1 / 64  # of the convex tangent, while a sheet slides off a saddle
 
 
