@@ -172,23 +172,26 @@ def follow(
         clock -= elapsed
     else:
         _begin(run)
-    reason = run.account.ended or _record(journal, run, steps.next, clock)
+
+    def record() -> str:
+        return journal.record(run, steps.next, time.perf_counter() - clock) if journal else ""
+
+    reason = run.account.ended or record()
     while not reason and run.travel < model.travel * (1 - 1e-12):
         s = run.travel
         try:
             reason = steps.take()
             if run.travel == s:
                 continue
-            failed = _record(journal, run, steps.next, clock)
+            failed = record()
             reason = reason or failed
             answer = callback(_progress(run, time.perf_counter() - clock)) if callback else None
         except KeyboardInterrupt:
             if not partial:
                 raise
             run.back()
-            where = f"at {run.travel:.4g}"
-            if run.travel == s:
-                where = f"between {s:.4g} and {steps.target:.4g}"
+            between = f"between {s:.4g} and {steps.target:.4g}"
+            where = between if run.travel == s else f"at {run.travel:.4g}"
             reason = f"interrupted {where} of {model.travel:.4g}"
             break
         if answer and not reason and run.travel < model.travel * (1 - 1e-12):
@@ -209,16 +212,6 @@ def _begin(run: Run) -> None:
         run.back()
     run.open(x)
     run.keep()
-
-
-def _record(journal: Journal | None, run: Run, step: float, clock: float) -> str:
-    """Write the run into its folder; the reason why that cannot be done."""
-    if journal:
-        try:
-            journal.record(run, step, time.perf_counter() - clock)
-        except OSError as error:
-            return f"cannot write to {journal.folder}: {error.strerror or error}"
-    return ""
 
 
 class _Steps:

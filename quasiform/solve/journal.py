@@ -130,21 +130,28 @@ class Journal:
         except (TypeError, OSError) as error:
             raise InputError(f"{self.folder}: not a record of a run ({error})") from error
 
-    def record(self, run: Run, step: float, elapsed: float) -> None:
+    def record(self, run: Run, step: float, elapsed: float) -> str:
         """Write the run as it stands after an increment; `step` is the size of the next, mm.
 
-        Raises OSError if the folder is gone or cannot be written; what was there stays.
+        The reason why the folder cannot be written, if so; what was there stays.
         """
-        with added(self.folder, instead=() if self._rows else FILES) as staging:
-            (staging / RESUME).write_bytes(self._checkpoint(run, step, elapsed))
-            if len(run.states) > self._rows:
-                how = "quasiform resume" if _recipe(run) else "solve(..., resume=True)"
-                reason = (
-                    f"killed or still running after {run.travel:.4g} of "
-                    f"{run.model.travel:.4g}{self.goal}: {how} continues it"
-                )
-                run.result(reason, elapsed).write(staging, since=self._rows)
-                self._rows = len(run.states)
+        try:
+            with added(self.folder, instead=() if self._rows else FILES) as staging:
+                (staging / RESUME).write_bytes(self._checkpoint(run, step, elapsed))
+                if len(run.states) > self._rows:
+                    how = "quasiform resume" if _recipe(run) else "solve(..., resume=True)"
+                    reason = (
+                        f"killed or still running after {run.travel:.4g} of "
+                        f"{run.model.travel:.4g}{self.goal}: {how} continues it"
+                    )
+                    run.result(reason, elapsed).write(staging, since=self._rows)
+                    self._rows = len(run.states)
+        except OSError as error:
+            return self._unwritable(error)
+        return ""
+
+    def _unwritable(self, error: OSError) -> str:
+        return f"cannot write to {self.folder}: {error.strerror or error}"
 
     def _checkpoint(self, run: Run, step: float, elapsed: float) -> bytes:
         states = run.states
@@ -248,10 +255,9 @@ class Journal:
             if not result.reason:
                 (self.folder / RESUME).unlink(missing_ok=True)
         except OSError as error:
-            failed = f"cannot write to {self.folder}: "
-            if failed not in result.reason:
-                reason = f"{failed}{error.strerror or error}"
-                result.reason = f"{result.reason}; {reason}" if result.reason else reason
+            if "cannot write to" not in result.reason:
+                reasons = [result.reason, self._unwritable(error)]
+                result.reason = "; ".join(filter(None, reasons))
 
 
 def _recipe(run: Run) -> dict[str, Any] | None:

@@ -189,7 +189,7 @@ def _carry(
 ) -> tuple[Result, Result, FloatArray]:
     """Solve the end of a model from that of a coarser one; the path too where that fails.
 
-    Returns the result, the path behind it and its last increment.
+    The result, the path behind it and its last increment.
     """
     clock = time.perf_counter()
     equations = Equilibrium(model, settings.linear, settings.tolerance, max_iterations=MOST)
@@ -201,33 +201,29 @@ def _carry(
         run.memory = carried(coarse, model, last, x, before)
         equations.take(run.memory)
         x = run.settle(x)
-        if model.lost(x):
-            raise NotConvergedError(model.lost(x), x, np.inf)
+        if lost := model.lost(x):
+            raise NotConvergedError(lost, x)
     except NotConvergedError:
         report(callback, f"its end was not found: the path on a mesh of {model.size:g} mm")
-        result = follow(model, settings, callback)
+        path = result = follow(model, settings, callback)
         result.rescues["path followed on the finer mesh"] = 1
-        _add_work(result, coarse, equations.tangent.factorisations)
-        return result, result, _last_increment(result)
-    run.open(x, equations.travel)
-    run.account.collapse = path.collapse or model.collapsed(x, equations.travel)
-    run.states = [State(0.0, start, 0.0, 0, {n: m(start) for n, m in model.measures.items()})]
-    run.keep()
-    result = run.result("", time.perf_counter() - clock)
-    result.path, result.energy_balance = path, path.energy_balance
-    result.stabilisation, result.snaps = path.stabilisation, path.snaps
-    result.increments = path.increments + 1
-    _add_work(result, coarse, 0)
-    return result, path, x - before
-
-
-def _add_work(result: Result, coarse: Result, failed: int) -> None:
-    """Add the factorisations of a coarser level and of a failed try, and the rescues."""
+        last, failed = _last_increment(result), equations.tangent.factorisations
+    else:
+        run.open(x, equations.travel)
+        run.account.collapse = path.collapse or model.collapsed(x, equations.travel)
+        run.states = [State(0.0, start, 0.0, 0, {n: m(start) for n, m in model.measures.items()})]
+        run.keep()
+        result = run.result("", time.perf_counter() - clock)
+        result.path, result.energy_balance = path, path.energy_balance
+        result.stabilisation, result.snaps = path.stabilisation, path.snaps
+        result.increments = path.increments + 1
+        last, failed = x - before, 0
     result.add_work(coarse, failed)
     result.rescues = {
         rung: result.rescues.get(rung, 0) + coarse.rescues.get(rung, 0)
         for rung in [*coarse.rescues, *result.rescues]
     }
+    return result, path, last
 
 
 def transferred(coarse: Result, model: Model, last: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -255,14 +251,14 @@ def carried(
 ) -> Memory:
     """Bring the states of the terms to another mesh, each by its own rule; see `transferred`."""
     old, end = coarse.model, coarse.states[-1]
-    known = {t.name: (t, s) for t, s in zip(old.terms, coarse.memory, strict=True)}
+    known = {
+        term.name: Standing(term, old.unknowns, state, end.x, end.x - last)
+        for term, state in zip(old.terms, coarse.memory, strict=True)
+    }
     states = []
     for term in model.terms:
-        theirs, state = known.get(term.name, (None, None))
-        was = None
-        if theirs is not None:
-            was = Standing(theirs, old.unknowns, state, end.x, end.x - last)
-        states.append(term.carried(state, was, Standing(term, model.unknowns, None, x, before)))
+        was, now = known.get(term.name), Standing(term, model.unknowns, None, x, before)
+        states.append(term.carried(was and was.state, was, now))
     return tuple(states)
 
 

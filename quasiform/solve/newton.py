@@ -181,7 +181,7 @@ def downhill(equations: Equilibrium, x: FloatArray, stride: float = 1e-3) -> Flo
     try:
         _, modes = eigsh(inverse, k=1, which="SA", v0=start, tol=1e-2)
     except ArpackNoConvergence as error:
-        raise NotConvergedError("no unstable mode found at a saddle", x, np.inf) from error
+        raise NotConvergedError("no unstable mode found at a saddle", x) from error
     d = np.zeros_like(x)
     d[equations.free] = modes[:, 0]
     nodes = equations.model.unknowns.at_nodes()

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -187,10 +188,8 @@ class Run:
                 raise NotConvergedError(
                     f"dynamic relaxation alone has used {MOST_RELAXED} iterations", x, np.inf
                 )
-            still = np.zeros_like(x)
-            return self._leave_saddles(
-                self._relaxed(x, target), lambda x: relax(equations, x, still)[0]
-            )
+            still, x = np.zeros_like(x), self._relaxed(x, target)
+            return self._leave_saddles(x, lambda x: relax(equations, x, still)[0])
         try:
             return self._solve(self._shaken(predict(equations, x, target)))
         except NotConvergedError as error:
@@ -224,9 +223,7 @@ class Run:
         return x if self.model.turned_over(x, shaken) else shaken
 
     def _solve(self, x: FloatArray) -> FloatArray:
-        def settled(x: FloatArray) -> FloatArray:
-            return settle(self.equations, x)
-
+        settled = partial(settle, self.equations)
         return self._leave_saddles(settled(x), settled)
 
     def _leave_saddles(
@@ -246,9 +243,8 @@ class Run:
         return x
 
     def _entry(self, x: FloatArray, travel: float, memory: Memory) -> Entry:
-        equations = self.equations
-        force = equations.force(equations.gradient(x))
-        return Entry(travel, force, equations.potential.energy(x, memory))
+        force = self.equations.force(self.equations.gradient(x))
+        return Entry(travel, force, self.equations.potential.energy(x, memory))
 
     # What is kept
 
