@@ -91,10 +91,6 @@ class Potential:
         # where two of a stencil are one unknown, H_ij and H_ji fall on its diagonal
         return key, np.where((a == b) & (i != j), 2, 1).astype(np.int8)
 
-    def initial(self, x: FloatArray) -> Memory:
-        """States of all terms at the start of a run."""
-        return tuple(term.initial(x) for term in self.terms)
-
     def refresh(self, x: FloatArray, memory: Memory) -> Memory:
         """Take lagged values from x."""
         return tuple(t.refresh(x, s) for t, s in zip(self.terms, memory, strict=True))

@@ -40,16 +40,14 @@ class Bending(Term):
         nodes = np.repeat(np.arange(n)[:, None], 5, axis=1)
         half_lengths = np.zeros((n, 2))
         for f, family in enumerate(("warp", "weft")):
-            left, right, grad = _neighbours(blank, family)
-            nodes[:, 1 + 2 * f] = np.where(left >= 0, left, np.arange(n))
-            nodes[:, 2 + 2 * f] = np.where(right >= 0, right, np.arange(n))
-            slopes = np.zeros((2, n, 5, 3))  # of the segments before and after the node
-            slopes[0, :, 1 + 2 * f] = -grad[0][:, None]
-            slopes[0, :, 0] = grad[0][:, None]
-            slopes[1, :, 0] = -grad[1][:, None]
-            slopes[1, :, 2 + 2 * f] = grad[1][:, None]
-            fixed = np.zeros((2, n, 3))
-            present = np.stack([left >= 0, right >= 0])
+            beside, grad = _neighbours(blank, family)
+            present = beside >= 0
+            slopes, fixed = np.zeros((2, n, 5, 3)), np.zeros((2, n, 3))
+            for side, sign in ((0, -1.0), (1, 1.0)):  # of the segments before and after the node
+                column = 1 + 2 * f + side
+                nodes[:, column] = np.where(present[side], beside[side], np.arange(n))
+                slopes[side, :, column] = sign * grad[side][:, None]
+                slopes[side, :, 0] = -slopes[side, :, column]
             length = np.where(present, 1.0 / np.where(present, grad, 1.0), 0.0)
             half_lengths[:, f] = 0.5 * length.sum(0)
             along = np.append(blank.warp if family == "warp" else blank.weft, 0.0)
@@ -58,8 +56,8 @@ class Bending(Term):
                 if plane not in blank.mirror or abs(along[axis]) < 1 - 1e-8:
                     continue
                 on_plane = np.abs(blank.nodes[:, axis]) < 1e-9
-                mirror = np.array([-1.0, -1.0, -1.0])
-                mirror[axis] = 1.0  # slope of the mirrored segment, walked in the same direction
+                # slope of the mirrored segment, walked in the same direction
+                mirror = np.where(np.arange(3) == axis, 1.0, -1.0)
                 for side in (0, 1):
                     at = on_plane & present[1 - side] & ~present[side]
                     slopes[side, at] = slopes[1 - side, at] * mirror
@@ -181,17 +179,16 @@ class Bending(Term):
         return self.operator.transpose(0, 2, 1) @ H @ self.operator
 
 
-def _neighbours(blank: Blank, family: str) -> tuple[IntArray, IntArray, FloatArray]:
-    """Nodes before and after each node on its fibre line (-1: none), and 1/l of those segments."""
+def _neighbours(blank: Blank, family: str) -> tuple[IntArray, FloatArray]:
+    """(2, n) nodes before and after each on its fibre line (-1: none), 1/l of those segments."""
     line = blank.fibre_lines(family)
     basis = Basis(line, ElementLineP1(), quadrature=(np.array([[0.5]]), np.array([1.0])))
     slope = basis.basis[1][0].grad[0, :, 0]  # of the second node's shape function: 1/l
     first, second = basis.element_dofs
-    n = len(blank.nodes)
-    left, right, grad = np.full(n, -1), np.full(n, -1), np.zeros((2, n))
-    left[second], right[first] = first, second
+    beside, grad = np.full((2, len(blank.nodes)), -1), np.zeros((2, len(blank.nodes)))
+    beside[0, second], beside[1, first] = first, second
     grad[0, second], grad[1, first] = slope, slope
-    return left, right, grad
+    return beside, grad
 
 
 def _skew(w: FloatArray) -> FloatArray:

@@ -45,8 +45,6 @@ class Equilibrium:
         self.mixed = [(i, name) for i, term in enumerate(model.terms) for name in term.mixed]
         self.mesh_size = min(sheet.blank.size for sheet in model.sheets)
 
-    # The states of the terms
-
     @property
     def remembers(self) -> bool:
         """Whether a term has memory."""
@@ -88,15 +86,13 @@ class Equilibrium:
         """Add a term of diagonal Hessian to the potential for the time being."""
         own, self.memory = self.potential, (*self.memory, None)
         self.potential = Potential([*own.terms, term], self.free, self.memory)
-        self.tangent.of(self.potential)
+        self.tangent.forget(self.potential)
         try:
             yield
         finally:
             self.potential, self.memory = own, self.memory[:-1]
             own.follow(self.memory)
-            self.tangent.of(own)
-
-    # Forces
+            self.tangent.forget(own)
 
     def gradient(self, x: FloatArray) -> FloatArray:
         """(n_dofs,) derivative of the potential with the present states, N."""
@@ -149,8 +145,6 @@ class Equilibrium:
     def motion_to(self, x: FloatArray, travel: float) -> FloatArray:
         """(n_dofs,) motion of the prescribed unknowns from x to `travel`, mm."""
         return np.where(self.model.fixed, self.model.prescribed(travel)[0] - x, 0.0)
-
-    # The tangent with the present states
 
     def factor(
         self, x: FloatArray, convex: float, **given: FloatArray | None

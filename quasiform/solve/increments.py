@@ -262,7 +262,7 @@ def _progress(run: Run, elapsed: float) -> Progress:
         run.travel,
         model.travel,
         equations.residual(equations.gradient(run.x)),
-        run.account.entry.force / model.share,
+        run.account.force / model.share,
         sum(int((c.penetration(run.x) > 0).sum()) for c in model.contacts),
         equations.tangent.factorisations,
         elapsed,

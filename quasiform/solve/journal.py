@@ -28,7 +28,7 @@ from ..model import Model
 from ..recipe import Recipe
 from ..result.files import FILES, RESUME, added, check_folder
 from ..result.run import Result, State
-from .run import Account, Entry, Run
+from .run import Account, Run
 
 FORMAT = 2
 UNREADABLE = (
@@ -49,19 +49,16 @@ class Journal:
     Parameters
     ----------
     out : path
-        Folder of the run; made if missing.
+        Made if missing.
     options : dict, optional
         How the run was asked for, in numbers and text, for whoever continues it.
-    force : bool
-        Whether the folder may hold a result already.
-    resume : bool
-        Continue the run that it holds.
+    force, resume : bool
+        The folder may hold a result already; continue the run that it holds.
 
     Raises
     ------
     InputError
-        If the folder cannot be written, holds a result already, or, with `resume`, holds no run
-        that can be continued.
+        If the folder cannot be written, holds a result already, or no run to be continued.
     """
 
     def __init__(
@@ -115,10 +112,7 @@ class Journal:
     def model(self) -> Model:
         """Build the model of the recorded run from its recipe.
 
-        Raises
-        ------
-        InputError
-            If the record holds no recipe, or its parts are not there any more.
+        Raises InputError if the record holds none, or its parts are not there any more.
         """
         if not self.held["recipe"]:
             raise InputError(
@@ -189,17 +183,8 @@ class Journal:
     def restore(self, run: Run) -> tuple[float, float]:
         """Put a run of the same model, at its start, where the recorded one was.
 
-        Returns
-        -------
-        step : float
-            Size of the next increment, mm.
-        elapsed : float
-            Time of the recorded run, s.
-
-        Raises
-        ------
-        InputError
-            If the model or the settings are others, or the record is damaged.
+        The size of its next increment, mm, and the time that it took, s. Raises InputError if the
+        model or the settings are others, or the record is damaged.
         """
         held, model = self.held, run.model
         other = InputError(
@@ -225,7 +210,7 @@ class Journal:
                     arrays["states"], arrays["rows"].tolist(), strict=True
                 )
             ]
-            run.account = Account(**held["account"] | {"entry": Entry(**held["account"]["entry"])})
+            run.account = Account(**held["account"])
             run.memory = tuple(
                 None if s is None else replace(s, **_starting(f"term {i} ", arrays))
                 for i, s in enumerate(run.memory)

@@ -52,21 +52,11 @@ def refine(
     ----------
     model : Model
         Its size is that of the end state; with `accuracy`, that of the first mesh to be judged.
-    callback : callable, optional
-        Called with the `Progress` of the path, which it may stop, as in `solve`.
     accuracy : float, optional
         Halve the size until the estimated error of the 99th percentile of the shear angle is
         below it, degrees.
-    increment : float, optional
-        Of the path, mm.
-    linear : str
-        Linear solver.
-    tolerance : float
-        Sum of the nodal residuals relative to the driving force.
-    out : path or Journal, optional
-        Folder in which the path is recorded increment by increment, and the result at the end.
-    resume : bool
-        Continue the run of this model in `out`.
+    callback, increment, linear, tolerance, out, resume
+        As in `solve`; the path is called back and recorded increment by increment.
 
     Returns
     -------

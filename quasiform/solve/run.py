@@ -61,20 +61,12 @@ class TooCoarseError(ArithmeticError):
     """An increment over which the trapezoidal rule misses the work."""
 
 
-@dataclass(frozen=True)
-class Entry:
-    """Energy account of an equilibrium state: travel, driving force (N), stored energy (mJ)."""
-
-    travel: float
-    force: float
-    stored: float
-
-
 @dataclass
 class Account:
     """Where a run is with its energy, and how it came there; all of it goes into a checkpoint."""
 
-    entry: Entry = field(default_factory=lambda: Entry(0.0, 0.0, 0.0))  # of the last increment
+    force: float = 0.0  # driving force at the last state, N
+    stored: float = 0.0  # energy there, mJ
     work: float = 0.0  # done by the travel, mJ
     gap: float = 0.0  # what the balance misses of it, mJ
     damped: float = 0.0  # what the rescues took up, mJ
@@ -99,8 +91,6 @@ class Run:
         self.memory: Memory = equations.memory  # committed
         self.account = Account()
 
-    # The start
-
     def start(self) -> FloatArray:
         """Equilibrium before any travel (a holder settling on the sheet)."""
         x0 = self.model.x0
@@ -121,7 +111,7 @@ class Run:
     def open(self, x: FloatArray, travel: float = 0.0) -> None:
         """Begin the energy account at the start, or where a run takes over."""
         self.x, self.travel = x, travel
-        self.account.entry = self._entry(x, travel, self.memory)
+        self.account.force, self.account.stored = self._force_and_energy(x, self.memory)
 
     def settle(self, x: FloatArray) -> FloatArray:
         """Find the equilibrium near x and commit it."""
@@ -130,8 +120,6 @@ class Run:
     def _committed(self, x: FloatArray) -> FloatArray:
         self._accept(x, self.equations.potential.commit(x, self.equations.memory))
         return x
-
-    # One increment
 
     def advance(self, target: float, rungs: list[Rung], weigh: bool) -> None:
         """Bring the state to the travel `target` and commit it.
@@ -143,11 +131,10 @@ class Run:
         saddles, damped = account.rescues.get("saddle left", 0), account.damped
         moved = self._climb(target, rungs)
         memory = self.equations.potential.commit(moved, self.equations.memory)
-        entry = self._entry(moved, target, memory)
-        last = account.entry
-        work = 0.5 * (last.force + entry.force) * (entry.travel - last.travel)
+        force, stored = self._force_and_energy(moved, memory)
+        work = 0.5 * (account.force + force) * (target - s)
         lost = self.equations.potential.dissipated(self.memory, memory, moved)
-        gap = work - (entry.stored - last.stored) - lost
+        gap = work - (stored - account.stored) - lost
         # at the end there will be at least the work so far in proportion to the travel
         expected = (abs(account.work) + abs(work)) * self.model.travel / target
         coarse = abs(gap) > WEIGHED * expected
@@ -164,7 +151,7 @@ class Run:
             account.snaps.append({"from_mm": s, "to_mm": target, "released_mJ": gap})
         else:
             account.gap += gap
-        self.x, self.travel, account.entry = moved, target, entry
+        self.x, self.travel, account.force, account.stored = moved, target, force, stored
         account.work += work
         account.increments += 1
         self._accept(moved, memory)
@@ -242,11 +229,9 @@ class Run:
             x = settled(downhill(self.equations, x, 1e-3 * 2**i))
         return x
 
-    def _entry(self, x: FloatArray, travel: float, memory: Memory) -> Entry:
+    def _force_and_energy(self, x: FloatArray, memory: Memory) -> tuple[float, float]:
         force = self.equations.force(self.equations.gradient(x))
-        return Entry(travel, force, self.equations.potential.energy(x, memory))
-
-    # What is kept
+        return force, self.equations.potential.energy(x, memory)
 
     def keep(self) -> None:
         """Keep the present state."""
@@ -254,7 +239,7 @@ class Run:
             State(
                 self.travel,
                 self.x.copy(),
-                self.account.entry.force / self.model.share,
+                self.account.force / self.model.share,
                 self.equations.tangent.factorisations,
                 {name: measure(self.x) for name, measure in self.model.measures.items()},
             )
@@ -279,7 +264,7 @@ class Run:
             residual=equations.residual(g, certified=True),
             settings=asdict(self.settings) | {"linear": tangent.solver.name},
             energy_balance=abs(account.gap) / max(abs(account.work), 1e-12),
-            stabilisation=account.damped / max(abs(account.entry.stored), 1e-12),
+            stabilisation=account.damped / max(abs(account.stored), 1e-12),
             snaps=account.snaps,
             negative_pivots=equations.certify(x),
             collapse=account.collapse,

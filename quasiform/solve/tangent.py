@@ -29,19 +29,15 @@ class Tangent:
         self.share = 1 / 4  # of the convex tangent, to be tried first while a sheet slides
         self._factored: tuple[FloatArray, float, int] | None = None
 
-    def of(self, potential: Potential) -> None:
-        """Take another potential of the same pattern."""
-        self.potential, self._factored = potential, None
-
     def follow(self, memory: Memory) -> None:
         """Take over changed states, and analyse the pattern anew where it has grown."""
         if self.potential.follow(memory):
             self.solver = linear_solver(self._linear, self.potential.pattern, self._places)
         self._factored = None
 
-    def forget(self) -> None:
-        """The last factor is not that of any state's tangent."""
-        self._factored = None
+    def forget(self, potential: Potential | None = None) -> None:
+        """The last factor serves no more; take another potential of the same pattern, if given."""
+        self.potential, self._factored = potential or self.potential, None
 
     def factor(
         self,
