@@ -82,7 +82,6 @@ class Model:
 
     @property
     def membranes(self) -> list[Membrane]:
-        """The membrane terms, one a sheet."""
         return [term for term in self.terms if isinstance(term, Membrane)]
 
     @property
@@ -92,12 +91,10 @@ class Model:
 
     @property
     def contacts(self) -> list[Contact]:
-        """The contact terms."""
         return [term for term in self.terms if isinstance(term, Contact)]
 
     @property
     def frictions(self) -> list[Friction]:
-        """The friction terms."""
         return [term for term in self.terms if isinstance(term, Friction)]
 
     def add(self, name: str, components: int, sheet: Sheet | None = None, **given: Any) -> Field:

@@ -92,7 +92,6 @@ class Potential:
         return key, np.where((a == b) & (i != j), 2, 1).astype(np.int8)
 
     def refresh(self, x: FloatArray, memory: Memory) -> Memory:
-        """Take lagged values from x."""
         return tuple(t.refresh(x, s) for t, s in zip(self.terms, memory, strict=True))
 
     def commit(self, x: FloatArray, memory: Memory) -> Memory:

@@ -44,7 +44,6 @@ class Recipe:
         return model
 
     def including(self, change: Change) -> Recipe:
-        """Return the recipe with one more change."""
         return replace(self, changes=(*self.changes, change))
 
     def written(self) -> dict[str, Any]:

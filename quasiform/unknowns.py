@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -59,27 +60,30 @@ class Unknowns:
 
     fields: list[Field] = field(default_factory=list)
 
-    def add(
-        self,
-        name: str,
-        components: int,
-        places: FloatArray | None = None,
-        areas: FloatArray | None = None,
-        scale: float = 1.0,
-        positions: bool = False,
-    ) -> Field:
-        """Append a field with `components` numbers a place, or as many numbers without places."""
+    def add(self, name: str, components: int, **given: Any) -> Field:
+        """Append a field with `components` numbers a place, or as many numbers without places.
+
+        Given are its `places`, `areas`, `scale` and `positions`, as in `Field`.
+        """
         if any(known.name == name for known in self.fields):
             raise ValueError(f"there is a field '{name}' already")
-        points, each = (components, 1) if places is None else (len(places), components)
-        dofs = self.size + np.arange(points * each).reshape(points, each)
-        self.fields.append(Field(name, dofs, places, areas, scale, positions))
+        places = given.get("places")
+        shape = (components, 1) if places is None else (len(places), components)
+        dofs = self.size + np.arange(np.prod(shape)).reshape(shape)
+        self.fields.append(Field(name, dofs, **given))
         return self.fields[-1]
 
     def sheet(self, blank: Blank, fabric: Fabric, dim: int, turn: float = 0.0, name: str = "sheet"):
         """Append the positions of a sheet's nodes, and return the sheet."""
-        own = self.add(name, dim, blank.nodes, blank.node_areas, positions=True)
+        given = {"places": blank.nodes, "areas": blank.node_areas}
+        own = self.add(name, dim, **given, positions=True)
         return Sheet(name, blank, fabric, own, turn)
+
+    def start(self, sheet: Sheet) -> tuple[FloatArray, np.ndarray, FloatArray]:
+        """Start of a model with its sheet flat, nothing fixed and nothing driven; (n_dofs,)."""
+        x0 = np.zeros(self.size)
+        x0[sheet.dofs[:, :2]] = sheet.blank.nodes
+        return x0, np.zeros(self.size, dtype=bool), np.zeros(self.size)
 
     @property
     def size(self) -> int:
@@ -87,12 +91,10 @@ class Unknowns:
         return sum(known.dofs.size for known in self.fields)
 
     def __getitem__(self, name: str) -> Field:
-        """Return the field of that name."""
         return next(known for known in self.fields if known.name == name)
 
     @property
     def positions(self) -> Iterator[Field]:
-        """The fields that are positions of nodes."""
         return (known for known in self.fields if known.positions)
 
     def _spread(self, name: str, otherwise: FloatArray) -> FloatArray:

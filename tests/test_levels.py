@@ -130,7 +130,7 @@ def test_a_path_that_stops_is_the_result(monkeypatch):
 
 def test_where_the_end_is_not_found_the_path_is_followed(monkeypatch):
     def settle(run, x):
-        raise levels.NotConvergedError("lost", np.zeros(1), 1.0)
+        raise levels.NotConvergedError("lost")
 
     fresh = qf.solve(qf.forming("hemisphere", size=5, travel=10), estimate=False)
     # after the state has been carried, memory of friction and all

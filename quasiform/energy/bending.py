@@ -33,7 +33,7 @@ class Bending(Term):
     """
 
     def __init__(self, sheet: Sheet, clamped: np.ndarray | None = None) -> None:
-        blank = sheet.blank
+        self.sheet, blank = sheet, sheet.blank
         n = len(blank.nodes)
         rows = np.zeros((n, 4, 5, 3))  # k_warp, k_weft, u, v as combinations of the five nodes
         constant = np.zeros((n, 4, 3))
@@ -79,21 +79,16 @@ class Bending(Term):
             constant[:, 2 + f] = fixed.sum(0) / count[:, None]
         bent = (np.abs(rows[:, :2]).sum((1, 2, 3)) > 0) & half_lengths.all(1)
         areas = half_lengths[bent].prod(1)
-        self._set(sheet, nodes[bent], rows[bent], constant[bent], areas)
+        self._set(nodes[bent], rows[bent], constant[bent], areas)
 
     def _set(
-        self,
-        sheet: Sheet,
-        nodes: IntArray,
-        rows: FloatArray,
-        constant: FloatArray,
-        areas: FloatArray,
+        self, nodes: IntArray, rows: FloatArray, constant: FloatArray, areas: FloatArray
     ) -> None:
         """Keep stencils of nodes (m, k), and of k_warp, k_weft, u, v as rows (m, 4, k, 3)."""
         m, k = nodes.shape
         self.constant = constant
         self.operator = (rows[:, :, None] * np.eye(3)[None, None, :, None, :]).reshape(m, 12, 3 * k)
-        self.sheet, self.nodes, fabric = sheet, nodes, sheet.fabric
+        sheet, self.nodes, fabric = self.sheet, nodes, self.sheet.fabric
         self.name = sheet.named("bending")
         self.dofs = sheet.dofs[nodes].reshape(m, 3 * k)
         self.stiffness = areas[:, None] * [fabric.bending_warp, fabric.bending_weft]

@@ -192,9 +192,8 @@ class Contact(Term):
     def nodal_force(self, x: FloatArray) -> FloatArray:
         """(n_nodes,) normal contact force spread to the nodes, N."""
         force = (self.area * self.pressure(x))[:, None] * self.points.weights.mean(2)
-        return np.bincount(
-            self.points.nodes.ravel(), force.ravel(), minlength=len(self.sheet.blank.nodes)
-        )
+        n = len(self.sheet.blank.nodes)
+        return np.bincount(self.points.nodes.ravel(), force.ravel(), minlength=n)
 
     def energy(self, x: FloatArray, state: None = None) -> FloatArray:
         return self.area * self._law(self.penetration(x))[0]
@@ -205,7 +204,6 @@ class Contact(Term):
         return self.pull_back(x, force[:, None] * n)
 
     def active(self, x: FloatArray, state: None = None) -> IntArray:
-        """Numbers of the points that touch."""
         return np.flatnonzero(self.penetration(x) > 0)
 
     def hessian(

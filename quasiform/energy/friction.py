@@ -134,7 +134,6 @@ class Friction(Term):
         return self.contact.pull_back(x, self.force(x, state))
 
     def active(self, x: FloatArray, state: Rubbing) -> IntArray:
-        """Numbers of the points that rub."""
         return np.flatnonzero(state.limit > 0)
 
     def hessian(

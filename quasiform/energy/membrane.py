@@ -63,6 +63,10 @@ class Membrane(Term):
         """(n_triangles,) signed shear angle, radians."""
         return shear_angle(*self.invariants(x))
 
+    def largest_shear_angle(self, x: FloatArray) -> float:
+        """Largest |γ|, degrees."""
+        return float(np.degrees(np.abs(self.shear_angle(x)).max()))
+
     def normals(self, x: FloatArray) -> FloatArray:
         """(n_triangles, 1 or 3) normal times area ratio; in the plane the determinant of F."""
         return cross(*self._at(x)[0]).T

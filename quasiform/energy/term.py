@@ -37,16 +37,14 @@ class Term:
 
     name: str = "term"
     dofs: IntArray
-    quadratic: bool = False
-    """The Hessian is the same everywhere: it is evaluated and summed once."""
+    quadratic: bool = False  # the Hessian is the same everywhere: it is summed once
+    # few stencils act at a time: `active(x, state)` gives their numbers, and `hessian` takes these
+    # as a last argument `rows`
     selective: bool = False
-    """Few stencils act at a time: `active(x, state)` gives their numbers, and `hessian` takes these
-    as a last argument `rows`."""
-    foresees: bool = False
-    """`hessian` takes a last argument `stress`, that which `foreseen_stress(x, dx)` returned."""
+    foresees: bool = False  # `hessian` takes the `stress` that `foreseen_stress(x, dx)` returned
+    # fields of the state that `refresh` brings to a fixed point, and that cannot be negative: the
+    # solver may extrapolate them
     mixed: tuple[str, ...] = ()
-    """Fields of the state that `refresh` brings to a fixed point, and that cannot be negative: the
-    solver may extrapolate them."""
 
     def stencils(self, state: Any) -> IntArray:
         """(n_stencils, n_local) numbers in x; another table where the stencils change."""

@@ -47,7 +47,6 @@ class Equilibrium:
 
     @property
     def remembers(self) -> bool:
-        """Whether a term has memory."""
         return any(state is not None for state in self.memory)
 
     def take(self, memory: Memory) -> None:
@@ -128,7 +127,6 @@ class Equilibrium:
 
     @property
     def at_end(self) -> bool:
-        """Whether the travel is at its end."""
         return self.travel >= self.model.travel * (1 - 1e-12)
 
     @property

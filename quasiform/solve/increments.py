@@ -31,6 +31,8 @@ CHANGED = (
     "the model was changed by hand, or has no recipe (Model.including makes a change part of it)",
 )
 
+Callback = Callable[["Progress"], bool | str | None]
+
 
 @dataclass(frozen=True)
 class Progress:
@@ -44,9 +46,6 @@ class Progress:
     linear_solves: int  # so far
     elapsed: float  # s
     measures: dict[str, float] = field(default_factory=dict)  # columns of the history by name
-
-
-Callback = Callable[[Progress], bool | str | None]
 
 
 def report(callback: Callback | None, stage: str) -> None:

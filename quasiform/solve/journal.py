@@ -31,16 +31,7 @@ from ..result.run import Result, State
 from .run import Account, Run
 
 FORMAT = 2
-UNREADABLE = (
-    OSError,
-    ValueError,
-    KeyError,
-    TypeError,
-    AttributeError,
-    IndexError,
-    EOFError,
-    BadZipFile,
-)
+UNREADABLE = OSError, LookupError, TypeError, ValueError, AttributeError, EOFError, BadZipFile
 
 
 class Journal:
@@ -119,10 +110,8 @@ class Journal:
                 f"{self.folder}: the run there has no recipe; continue it with "
                 "solve(model, out=..., resume=True)"
             )
-        try:
+        with self._reading():
             return Recipe.read(self.held["recipe"]).build()
-        except (TypeError, OSError) as error:
-            raise InputError(f"{self.folder}: not a record of a run ({error})") from error
 
     def record(self, run: Run, step: float, elapsed: float) -> str:
         """Write the run as it stands after an increment; `step` is the size of the next, mm.
@@ -212,7 +201,7 @@ class Journal:
             ]
             run.account = Account(**held["account"])
             run.memory = tuple(
-                None if s is None else replace(s, **_starting(f"term {i} ", arrays))
+                s and replace(s, **{f.name: arrays[f"term {i} {f.name}"] for f in fields(s)})
                 for i, s in enumerate(run.memory)
             )
             run.equations.take(run.memory)
@@ -257,10 +246,6 @@ def _recipe(run: Run) -> dict[str, Any] | None:
 
 def _json(content: Any) -> str:
     return json.dumps(content, default=np.generic.item)
-
-
-def _starting(prefix: str, arrays: dict[str, Any]) -> dict[str, Any]:
-    return {k.removeprefix(prefix): v for k, v in arrays.items() if k.startswith(prefix)}
 
 
 def _counted(run: Run) -> tuple[tuple[Any, tuple[str, ...]], ...]:

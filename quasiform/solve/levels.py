@@ -192,7 +192,7 @@ def _carry(
         equations.take(run.memory)
         x = run.settle(x)
         if lost := model.lost(x):
-            raise NotConvergedError(lost, x)
+            raise NotConvergedError(lost)
     except NotConvergedError:
         report(callback, f"its end was not found: the path on a mesh of {model.size:g} mm")
         path = result = follow(model, settings, callback)

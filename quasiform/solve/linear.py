@@ -17,18 +17,11 @@ NAMES = ("auto", "pardiso", "superlu")
 
 
 class NotConvergedError(ArithmeticError):
-    """A solve that did not reach its tolerance; carries the state it had come to."""
-
-    def __init__(self, reason: str, x: FloatArray | None = None, residual: float = np.inf) -> None:
-        super().__init__(reason)
-        self.x, self.residual = x, residual
+    """A solve that did not reach its tolerance."""
 
 
 class SingularMatrixError(NotConvergedError):
     """The matrix cannot be factorised: a motion without stiffness."""
-
-    def __init__(self, reason: object) -> None:
-        super().__init__(f"the tangent is singular: {reason}")
 
 
 def linear_solver(name: str, pattern: csr_array, points: FloatArray) -> Pardiso | SuperLU:
@@ -68,14 +61,12 @@ class Pardiso:
 
     def factor(self, values: FloatArray) -> int:
         """Factorise; return the number of negative pivots."""
+        factor = self._solver.refactor_values if self._analysed else self._solver.factor
         try:
-            if self._analysed:
-                self._solver.refactor_values(values)
-            else:
-                self._solver.factor(values)
-                self._analysed = True
+            factor(values)
         except RuntimeError as error:
-            raise SingularMatrixError(error) from error
+            raise SingularMatrixError(f"the tangent is singular: {error}") from error
+        self._analysed = True
         return int(self._solver.get_iparm_value(22))
 
     def solve(self, b: FloatArray) -> FloatArray:
@@ -109,16 +100,13 @@ class SuperLU:
         n = len(self._order)
         matrix = csc_array((values[self._source], self._indices, self._indptr), shape=(n, n))
         try:
-            self._factor = splu(
-                matrix,
-                permc_spec="NATURAL",
-                diag_pivot_thresh=0.0,
-                options={"SymmetricMode": True},
-            )
+            options = {"SymmetricMode": True}
+            self._factor = splu(matrix, "NATURAL", diag_pivot_thresh=0.0, options=options)
         except RuntimeError as error:
-            raise SingularMatrixError(error) from error
+            raise SingularMatrixError(f"the tangent is singular: {error}") from error
         if (self._factor.perm_r != np.arange(n)).any():
-            raise SingularMatrixError("a pivot is zero")  # the signs would not be the inertia
+            # the signs would not be the inertia
+            raise SingularMatrixError("the tangent is singular: a pivot is zero")
         return int((self._factor.U.diagonal() < 0).sum())
 
     def solve(self, b: FloatArray) -> FloatArray:

@@ -32,7 +32,7 @@ SLIDING = 60  # convex tangents in one solve, from which on a sheet slides off a
 def predict(equations: Equilibrium, x: FloatArray, travel: float) -> FloatArray:
     """Move the prescribed unknowns to `travel` and the others along the tangent."""
     motion, free = equations.motion_to(x, travel), equations.free
-    _, load = equations.tangent.factor_definite(x, equations.memory, motion)
+    _, load = equations.tangent.factor_definite(x, equations.memory, motion=motion)
     moved = x + motion
     moved[free] -= equations.tangent.solve(equations.gradient(x)[free] + load)
     equations.travel = travel
@@ -43,14 +43,11 @@ def predict(equations: Equilibrium, x: FloatArray, travel: float) -> FloatArray:
 
 
 def minimise(
-    equations: Equilibrium,
-    x: FloatArray,
-    tolerance: float | None = None,
-    max_iterations: int | None = None,
+    equations: Equilibrium, x: FloatArray, tolerance: float = 0.0, max_iterations: int = 0
 ) -> FloatArray:
     """Newton iterations with the lagged values as they are, to the tolerance or a looser one.
 
-    Raises NotConvergedError with the reason, the place of the largest residual and the last state.
+    Raises NotConvergedError with the reason and the place of the largest residual.
     """
     free, tangent = equations.free, equations.tangent
     tolerance = tolerance or equations.tolerance
@@ -71,8 +68,7 @@ def minimise(
             equations.factor(x, 1.0, stress=stress)
             convex_left -= 1
         else:
-            memory = equations.memory
-            exact, _ = tangent.factor_definite(x, memory, stress=stress, sliding=sliding)
+            exact, _ = tangent.factor_definite(x, equations.memory, sliding, stress=stress)
             taken += not exact
             convex_left = 0 if exact or sliding else 1
         d = np.zeros_like(x)
@@ -81,13 +77,11 @@ def minimise(
             tangent.forget()  # no tangent of this state
         energies = [*energies[-7:], equations.energy(x)]
         highest = energies[-1] if stress is None else max(energies)
-        before, x = x, _line_search(equations, x, g, d, residual, highest)
+        before, x = x, _line_search(equations, x, g, d, highest)
         stress = None if sliding else _foresee(equations, before, x)
     raise NotConvergedError(
         f"no equilibrium in {max_iterations} Newton iterations: residual {residual:.1e} of the "
-        f"driving force against {tolerance:.0e}, largest {equations.worst(g)}",
-        x,
-        residual,
+        f"driving force against {tolerance:.0e}, largest {equations.worst(g)}"
     )
 
 
@@ -100,19 +94,14 @@ def _foresee(equations: Equilibrium, x: FloatArray, moved: FloatArray) -> FloatA
 
 
 def _line_search(
-    equations: Equilibrium,
-    x: FloatArray,
-    g: FloatArray,
-    d: FloatArray,
-    residual: float,
-    highest: float,
+    equations: Equilibrium, x: FloatArray, g: FloatArray, d: FloatArray, highest: float
 ) -> FloatArray:
     """Armijo's rule by halving, with a floor of round-off, a longest step, the flip guard."""
     slope = float(g @ d)
     if equations.convex == "never" and slope > 0:  # the tangent is not positive definite there
         d, slope = -d, -slope
     if not np.isfinite(slope) or slope >= 0:
-        raise NotConvergedError("Newton's direction is no descent direction", x, residual)
+        raise NotConvergedError("Newton's direction is no descent direction")
     floor = 1e-12 * (abs(highest) + equations.model.resting + 1e-6)
     longest = equations.model.unknowns.longest(d)
     alpha = min(1.0, 3.0 * equations.mesh_size / max(longest, 1e-300))
@@ -122,10 +111,8 @@ def _line_search(
             return trial
         alpha *= 0.5
     raise NotConvergedError(
-        f"no descent along Newton's direction: residual {residual:.1e} of the driving force, "
-        f"largest {equations.worst(g)}",
-        x,
-        residual,
+        f"no descent along Newton's direction: residual {equations.residual(g):.1e} of the driving "
+        f"force, largest {equations.worst(g)}"
     )
 
 
@@ -163,9 +150,7 @@ def settle(equations: Equilibrium, x: FloatArray) -> FloatArray:
             steps = np.diff(change, axis=0)
             shares = np.linalg.lstsq(steps.T, change[-1], rcond=1e-6)[0]
             equations.lag(np.maximum(F[-1] - shares @ np.diff(F, axis=0), 0.0))
-    raise NotConvergedError(
-        f"friction does not settle in {passes} passes: residual {residual:.1e}", x, residual
-    )
+    raise NotConvergedError(f"friction does not settle in {passes} passes: residual {residual:.1e}")
 
 
 def downhill(equations: Equilibrium, x: FloatArray, stride: float = 1e-3) -> FloatArray:
@@ -181,7 +166,7 @@ def downhill(equations: Equilibrium, x: FloatArray, stride: float = 1e-3) -> Flo
     try:
         _, modes = eigsh(inverse, k=1, which="SA", v0=start, tol=1e-2)
     except ArpackNoConvergence as error:
-        raise NotConvergedError("no unstable mode found at a saddle", x) from error
+        raise NotConvergedError("no unstable mode found at a saddle") from error
     d = np.zeros_like(x)
     d[equations.free] = modes[:, 0]
     nodes = equations.model.unknowns.at_nodes()

@@ -72,5 +72,5 @@ def creep(equilibrium: Equilibrium, x: FloatArray) -> tuple[FloatArray, float]:
                 return x, work
             bed.m = max(bed.m / 3.0, LEAST)
     raise NotConvergedError(
-        f"proximal steps: forces of {force:.1e} of the driving force left after {STEPS}", x, force
+        f"proximal steps: forces of {force:.1e} of the driving force left after {STEPS}"
     )

@@ -63,12 +63,10 @@ def relax(
         v, kinetic_before = v_next, kinetic
         x = x + v
         if not np.abs(v[nodes]).max() < equilibrium.mesh_size:
-            raise NotConvergedError("dynamic relaxation diverged", x)
+            raise NotConvergedError("dynamic relaxation diverged")
     raise NotConvergedError(
         f"dynamic relaxation: residual {residual:.1e} after {max_iterations} iterations, "
-        f"largest {equilibrium.worst(g)}",
-        x,
-        residual,
+        f"largest {equilibrium.worst(g)}"
     )
 
 

@@ -29,6 +29,8 @@ from .relaxation import relax
 MOST_RELAXED = 60_000  # iterations of a run by dynamic relaxation alone
 WEIGHED = 5e-3  # of the work to come: what an increment may miss by the trapezoidal rule
 
+Rung = Callable[["Run", float], FloatArray]
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -78,7 +80,6 @@ class Account:
     ended: str = ""  # why there is no way on from here
 
     def count(self, rung: str) -> None:
-        """Count one use of a rung."""
         self.rescues[rung] = self.rescues.get(rung, 0) + 1
 
 
@@ -173,7 +174,7 @@ class Run:
         if self.settings.method == "relaxation":
             if equations.relaxed > MOST_RELAXED:
                 raise NotConvergedError(
-                    f"dynamic relaxation alone has used {MOST_RELAXED} iterations", x, np.inf
+                    f"dynamic relaxation alone has used {MOST_RELAXED} iterations"
                 )
             still, x = np.zeros_like(x), self._relaxed(x, target)
             return self._leave_saddles(x, lambda x: relax(equations, x, still)[0])
@@ -234,7 +235,6 @@ class Run:
         return force, self.equations.potential.energy(x, memory)
 
     def keep(self) -> None:
-        """Keep the present state."""
         self.states.append(
             State(
                 self.travel,
@@ -269,9 +269,6 @@ class Run:
             negative_pivots=equations.certify(x),
             collapse=account.collapse,
         )
-
-
-Rung = Callable[[Run, float], FloatArray]
 
 
 def proximal(run: Run, target: float) -> FloatArray:

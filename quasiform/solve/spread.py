@@ -39,11 +39,6 @@ def spread(
         `low` and `high` over all runs, the unperturbed one too; `stopped`, how many did not reach
         the end and are left out; and `robust`: whether half the range is within the estimated error
         (within 1 % where there is none).
-
-    Raises
-    ------
-    InputError
-        For a bad amplitude.
     """
     check_number("amplitude", amplitude)
     base = result.path or result

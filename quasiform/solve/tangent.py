@@ -5,6 +5,8 @@ Factorisations are counted: the unit in which work is measured.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from ..potential import Memory, Potential
@@ -40,23 +42,18 @@ class Tangent:
         self.potential, self._factored = potential or self.potential, None
 
     def factor(
-        self,
-        x: FloatArray,
-        memory: Memory,
-        convex: float,
-        motion: FloatArray | None = None,
-        stress: FloatArray | None = None,
+        self, x: FloatArray, memory: Memory, convex: float, **given: FloatArray | None
     ) -> tuple[int, FloatArray]:
         """Factorise a tangent; number of negative pivots, and its product with a motion.
 
-        `convex` is the share of the convex tangent in it, the rest is the exact one; a foreseen
-        `stress` takes the place of that at x. The factor of an accepted state, made for its
-        certificate, serves the next prediction too. Raises SingularMatrixError.
+        `convex` is the share of the convex tangent in it, the rest is the exact one. Given are the
+        `motion`, and a foreseen `stress`, which takes the place of that at x. The factor of an
+        accepted state, made for its certificate, serves the next prediction too.
         """
-        values, load = self.potential.hessian(x, memory, convex == 1, motion, stress)
+        values, load = self.potential.hessian(x, memory, convex == 1, **given)
         if 0 < convex < 1:
             values += convex * (self.potential.hessian(x, memory, True)[0] - values)
-        known = self._factored if stress is None else None
+        known = self._factored if given.get("stress") is None else None
         if known is None or known[1] != convex or not np.array_equal(known[0], x):
             self._factored = None
             self.factorisations += 1
@@ -64,12 +61,7 @@ class Tangent:
         return self._factored[2], load
 
     def factor_definite(
-        self,
-        x: FloatArray,
-        memory: Memory,
-        motion: FloatArray | None = None,
-        stress: FloatArray | None = None,
-        sliding: bool = False,
+        self, x: FloatArray, memory: Memory, sliding: bool = False, **given: FloatArray | None
     ) -> tuple[bool, FloatArray]:
         """Factorise the exact tangent if it is positive definite, else the convex one.
 
@@ -78,28 +70,27 @@ class Tangent:
         too stiff: the smallest share of it that does is taken.
         """
         if self.convex == "never":
-            return True, self.factor(x, memory, 0.0, motion, stress)[1]
+            return True, self.factor(x, memory, 0.0, **given)[1]
         if self.convex == "on demand":
-            if (load := self._if_definite(x, memory, 0.0, motion, stress)) is not None:
+            if (load := self._if_definite(x, memory, 0.0, **given)) is not None:
                 return True, load
             self.convex_taken += 1
             share = self.share
-            while sliding and stress is None and share < 1:
-                if (load := self._if_definite(x, memory, share, motion)) is not None:
+            while sliding and given.get("stress") is None and share < 1:
+                if (load := self._if_definite(x, memory, share, **given)) is not None:
                     self.share = max(share / 4, LEAST_SHARE)
                     return False, load
                 share *= 4
             self.share = 1 / 4
-        return False, self.factor(x, memory, 1.0, motion, stress)[1]
+        return False, self.factor(x, memory, 1.0, **given)[1]
 
-    def _if_definite(self, *given: FloatArray | Memory | float | None) -> FloatArray | None:
+    def _if_definite(self, *args: Any, **given: FloatArray | None) -> FloatArray | None:
         """Product with the motion if the tangent is positive definite."""
         try:
-            negative, load = self.factor(*given)
+            negative, load = self.factor(*args, **given)
         except SingularMatrixError:
             return None
         return None if negative else load
 
     def solve(self, b: FloatArray) -> FloatArray:
-        """Solve with the last factor."""
         return self.solver.solve(b)
