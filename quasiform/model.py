@@ -107,11 +107,10 @@ class Model:
         added = self.unknowns.add(name, components, **given)
         more = self.unknowns.size - len(self.x0)
         self.x0, self.fixed = np.pad(self.x0, (0, more)), np.pad(self.fixed, (0, more))
-        if callable(self.drive):
-            drive = self.drive
+        if callable(drive := self.drive):
             self.drive = lambda s: tuple(np.pad(values, (0, more)) for values in drive(s))
         else:
-            self.drive = np.pad(self.drive, (0, more))
+            self.drive = np.pad(drive, (0, more))
         return added
 
     def including(self, change: Callable[[Model], None]) -> Model:
@@ -119,8 +118,7 @@ class Model:
 
         Every mesh of a refined run, the error estimate and every worker then has it. `change` is
         called with the model: it may append terms, fields, areas and measures, and set supports.
-        Defined in a module, it can also be written down and sent to another process. Raises
-        ValueError if the model was built by hand.
+        Defined in a module, it can also be sent to another process.
         """
         if self.recipe is None:
             raise ValueError("this model has no recipe: change it itself")
@@ -172,6 +170,5 @@ class Model:
 
     def turned_over(self, x: FloatArray, trial: FloatArray) -> bool:
         """Whether a triangle is turned over between two states."""
-        return any(
-            bool(((m.normals(x) * m.normals(trial)).sum(1) <= 0).any()) for m in self.membranes
-        )
+        turns = ((m.normals(x) * m.normals(trial)).sum(1) for m in self.membranes)
+        return any(bool((turn <= 0).any()) for turn in turns)

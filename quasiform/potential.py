@@ -12,8 +12,7 @@ from scipy.sparse import csr_array
 from .energy.term import Term
 from .unknowns import FloatArray, IntArray
 
-Memory = tuple[Any, ...]
-"""The states of all terms, in their order; owned by a run."""
+Memory = tuple[Any, ...]  # the states of all terms, in their order; owned by a run
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,10 +26,7 @@ class _Share:
 
 
 class Potential:
-    """The sum of the energy terms over the free unknowns (n_dofs,) bool.
-
-    The stencils of the terms, in their states, set the pattern.
-    """
+    """The sum of the terms over the free unknowns (n_dofs,) bool, whose states set the pattern."""
 
     def __init__(self, terms: Sequence[Term], free: np.ndarray, memory: Memory) -> None:
         self.terms, self.free = list(terms), free
@@ -137,10 +133,9 @@ class Potential:
                 if not len(rows):
                     continue
                 H, dofs = term.hessian(x, state, convex, rows), dofs[rows]
-                i, j = np.triu_indices(dofs.shape[1])
-                upper = share.counts[rows] * H.reshape(len(rows), -1).take(
-                    i * dofs.shape[1] + j, axis=1
-                )
+                k = dofs.shape[1]
+                i, j = np.triu_indices(k)
+                upper = share.counts[rows] * H.reshape(len(rows), -1).take(i * k + j, axis=1)
                 np.add.at(values, share.slots[rows].ravel(), upper.ravel())
             elif share.total is not None:
                 H = term.hessian(x, state, convex, *([stress] if term.foresees else []))

@@ -51,12 +51,10 @@ class Recipe:
 
         Raises InputError if a change cannot be found by its name in another process.
         """
-        return {
-            "builder": reference(self.builder),
-            "given": {name: plain(value) for name, value in self.given},
-            "size": self.size,
-            "changes": [reference(change) for change in self.changes],
-        }
+        given = {name: plain(value) for name, value in self.given}
+        changes = [reference(change) for change in self.changes]
+        builder = reference(self.builder)
+        return {"builder": builder, "given": given, "size": self.size, "changes": changes}
 
     @staticmethod
     def read(written: Mapping[str, Any]) -> Recipe:

@@ -146,10 +146,7 @@ class Friction(Term):
         t = s / np.maximum(length, 1e-300)[:, None]
         across = P - t[:, :, None] * t[:, None, :]
         slope = limit / np.maximum(length, 1e-300)
-        H = np.where(
-            slipping[:, None, None],
-            slope[:, None, None] * across,
-            ((limit > 0) * stick)[:, None, None] * P,
-        )
+        stuck = ((limit > 0) * stick)[:, None, None] * P
+        H = np.where(slipping[:, None, None], slope[:, None, None] * across, stuck)
         force = None if convex else s * np.minimum(stick, slope)[:, None]
         return self.contact.pull_back_stiffness(x, H, force, rows)

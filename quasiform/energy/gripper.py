@@ -13,11 +13,7 @@ from .term import Term
 
 
 class Grip(Term):
-    """A gripper on nodes (m,) of a sheet in space, by their shares (m,), which sum to 1.
-
-    It pulls with T, N, along the unit vector e (3,) when the nodes are at `start` (m, 3), mm, and
-    yields with the stiffness K, N/mm, both of the whole gripper.
-    """
+    """A gripper on nodes (m,) of a sheet in space, with T in N when they are at `start` (m, 3)."""
 
     name = "gripper"
 

@@ -42,12 +42,8 @@ class SheetWeight(Term):
 class ToolWeight(Term):
     """Weight P, N, of a floating tool and what else presses it down: E = P z."""
 
-    def __init__(
-        self, load: float, height_dof: int, name: str = "weight of the blank holder"
-    ) -> None:
-        self.name = name
-        self.dofs = np.array([[height_dof]])
-        self.force = load
+    def __init__(self, load: float, dof: int, name: str = "weight of the blank holder") -> None:
+        self.name, self.dofs, self.force = name, np.array([[dof]]), load
 
     def energy(self, x: FloatArray, state: None = None) -> FloatArray:
         return self.force * x[self.dofs[0]]

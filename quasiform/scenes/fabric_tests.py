@@ -22,7 +22,7 @@ from ..model import Model
 from ..net.blank import Blank, rectangle
 from ..net.free_mesh import PAIRED, check_same_size, own_mesh, triangulate
 from ..recipe import built
-from ..unknowns import FloatArray, Unknowns
+from ..unknowns import FloatArray, Sheet, Unknowns
 
 
 def off_axis_tension(
@@ -103,17 +103,14 @@ def strip_under_tension(
     numbers = {name: given[name] for name in ("length", "width", "displacement")}
     identity = {"angle": angle, "law": fabric.name, "fabric": asdict(fabric)}
     free = "held flat; fibres curve freely in the plane, as in the paper's model"
-    return Model(
-        name=f"oat-{angle:g}",
-        unknowns=unknowns,
-        sheets=[sheet],
-        terms=[membrane],
-        x0=blank.nodes.ravel().copy(),
-        fixed=np.repeat(left | right, 2),
+    return _plane(
+        f"oat-{angle:g}",
+        unknowns,
+        sheet,
+        membrane,
+        held=left | right,
         drive=drive,
         travel=float(given["displacement"]),
-        increment=5.0,
-        rows=5.0,
         parameters={**identity, **numbers, "size": size, "mesh": str(mesh)},
         measures={
             "shear_angle_center_deg": partial(mean, 0),
@@ -130,6 +127,15 @@ def strip_under_tension(
         ],
         coarsest=width / 4,
     )
+
+
+def _plane(
+    name: str, unknowns: Unknowns, sheet: Sheet, membrane: Membrane, held: np.ndarray, **given: Any
+) -> Model:
+    """Model of a plane test, flat and with the `held` (n_nodes,) bool nodes fixed."""
+    x0, fixed = sheet.blank.nodes.ravel().copy(), np.repeat(held, 2)
+    given |= {"increment": 5.0, "rows": 5.0}
+    return Model(name, unknowns, [sheet], [membrane], x0, fixed, **given)
 
 
 def _check(**numbers: float) -> None:
@@ -154,11 +160,8 @@ def off_axis_zones(
 ) -> dict[str, np.ndarray]:
     """Triangles of the zones of Schäfer et al., Fig. 2 a, by which of their fibres reach a grip.
 
-    Returns
-    -------
-    dict with bool arrays (n_triangles,)
-        "full" (no fibre is gripped), "warp free" and "weft free" (that family alone is free) and
-        "rigid" (both gripped).
+    Bool arrays (n_triangles,): "full" (no fibre is gripped), "warp free" and "weft free" (that
+    family alone is free) and "rigid" (both gripped).
     """
     c, s = cos(radians(angle)), sin(radians(angle))
     # a warp line is free if it crosses both free edges: seen by its weft coordinate
@@ -221,17 +224,14 @@ def sheet_in_frame(
         return (along * stretch @ diagonal).ravel(), (along * rate @ diagonal).ravel()
 
     gamma = radians(shear)
-    return Model(
-        name="picture-frame",
-        unknowns=unknowns,
-        sheets=[sheet],
-        terms=[Membrane(sheet)],
-        x0=blank.nodes.ravel().copy(),
-        fixed=np.repeat(rim, 2),
+    return _plane(
+        "picture-frame",
+        unknowns,
+        sheet,
+        Membrane(sheet),
+        held=rim,
         drive=frame,
         travel=2.0 * side * cos(np.pi / 4 - gamma / 2) - np.sqrt(2.0) * side,
-        increment=5.0,
-        rows=5.0,
         parameters={"side": side, "shear": shear, "law": fabric.name, "size": size},
         description=[("plane problem", "held flat by the frame")],
     )

@@ -39,7 +39,6 @@ from .room import check_clearance, mirror_planes
 from .scene_file import SceneFile, SurfaceFile, ToolPart
 from .supports import fix_supports, grips, keep_middle
 
-Description = list[tuple[str, str]]
 SIZE = 5.0  # mm, the default
 FACTOR = "load factor of the weight"
 
@@ -103,7 +102,7 @@ def formed_between_tools(
 ) -> Model:
     """Build the model of a forming scene, with the tools of a model `like` it if there is one."""
     orientation, travel, symmetry = (given[n] for n in ("orientation", "travel", "symmetry"))
-    description: Description = [("bending of warp and weft lines", "the sheet leaves its plane")]
+    description = [("bending of warp and weft lines", "the sheet leaves its plane")]
     own = None
     if isinstance(file.mesh, Path):
         free_mesh.check_same_size(size, like and like.size)
@@ -119,7 +118,7 @@ def formed_between_tools(
     mirror, why = mirror_planes(file, tools, outline, orientation, travel, symmetry, fabric)
     description += why
     frame = orientation if mirror else 0.0
-    blank = own or _mesh(file.mesh, outline, size, orientation, frame, mirror)
+    blank = own or _mesh(file.mesh, outline, size, frame, orientation - frame, mirror)
     tools_in_frame = [_in_frame(tool, frame, blank) for tool in tools]
     sheet = (unknowns := Unknowns()).sheet(blank, fabric, 3, frame)
     for tool in tools_in_frame:
@@ -127,6 +126,9 @@ def formed_between_tools(
     if file.gravity:
         unknowns.add(FACTOR, 1)
     x0, fixed, drive = unknowns.start(sheet)
+    parameters = {"scene": name} | ({"scene_file": file.source} if file.source else {})
+    parameters |= {"orientation": orientation, "law": fabric.name, "size": size, "travel": travel}
+    parameters |= {"symmetry": symmetry, "fabric": asdict(fabric), "standings": file.standings}
     model = Model(
         name=f"{file.name}-{orientation:g}",
         unknowns=unknowns,
@@ -141,17 +143,7 @@ def formed_between_tools(
         travel_name="travel_mm",
         share=0.5 ** len(blank.mirror),
         description=description,
-        parameters={
-            "scene": name,
-            **({"scene_file": file.source} if file.source else {}),
-            "orientation": orientation,
-            "law": fabric.name,
-            "size": size,
-            "travel": travel,
-            "symmetry": symmetry,
-            "fabric": asdict(fabric),
-            "standings": file.standings,
-        },
+        parameters=parameters,
         areas=dict(file.areas),
         outputs=file.outputs,
         tools=(tools, from_files),
@@ -183,17 +175,11 @@ def _tool(part: ToolPart, fabric: Fabric, read: tool_file.ToolFile | None) -> To
     shape, rest = part.shape, 0.0 if part.role == "die" else fabric.thickness
     if read:
         shape, rest = read.grid, read.rest
-    return Tool(
-        part.name,
-        shape,
-        rest if part.z is None else part.z,
-        part.motion,
-        fabric.friction if part.friction is None else part.friction,
-        part.mass,
-        part.force,
-        part.place,
-        part.motion == "free" and part.tilt is not False,
-    )
+    z = rest if part.z is None else part.z
+    friction = fabric.friction if part.friction is None else part.friction
+    tilts = part.motion == "free" and part.tilt is not False
+    loads = part.mass, part.force
+    return Tool(part.name, shape, z, part.motion, friction, *loads, part.place, tilts)
 
 
 def _in_frame(tool: Tool, frame: float, blank: Blank) -> Tool:
@@ -206,23 +192,16 @@ def _in_frame(tool: Tool, frame: float, blank: Blank) -> Tool:
 
 
 def _mesh(
-    mesh: str | Path,
-    outline: shapely.Polygon,
-    size: float,
-    orientation: float,
-    frame: float,
-    mirror: tuple[str, ...],
+    mesh: str | Path, outline: shapely.Polygon, size: float, turn: float, warp: float, mirror: tuple
 ) -> Blank:
-    outline = shapely.affinity.rotate(outline, -frame, origin=(0, 0))
+    outline = shapely.affinity.rotate(outline, -turn, origin=(0, 0))
     if mesh == "free":
-        return free_mesh.triangulate(outline, size, orientation - frame)
-    return cut(outline, size, orientation - frame, through=((0.0, 0.0),), mirror=mirror)
+        return free_mesh.triangulate(outline, size, warp)
+    return cut(outline, size, warp, through=((0.0, 0.0),), mirror=mirror)
 
 
-def _assemble(
-    model: Model, file: SceneFile, tools: Sequence[Tool], outline: shapely.Polygon
-) -> None:
-    """Put unknowns, energies and supports into a model."""
+def _assemble(model: Model, file: SceneFile, tools: list[Tool], outline: shapely.Polygon) -> None:
+    """Put energies and supports into a model."""
     sheet = model.sheet
     blank, fabric = sheet.blank, sheet.fabric
     points = at_nodes(blank)
@@ -237,14 +216,11 @@ def _assemble(
         if plane in blank.mirror:
             model.fixed[sheet.dofs[:, axis]] |= np.abs(blank.nodes[:, axis]) < 1e-9
     clamped = fix_supports(model, file, outline)
-    membrane: Term = membrane_of(sheet)
-    if blank.pairs is None:
-        bending: Term = Bending(sheet, clamped)
-    else:
-        bending = PatchBending(sheet)
+    if blank.pairs is not None:
         model.description.append(PAIRED)
         if clamped is not None:
             raise InputError("clamp = true needs a mesh that follows the fibres")
+    bending = Bending(sheet, clamped) if blank.pairs is None else PatchBending(sheet)
     contacts += _between_nodes(model, contacts)
     frictions = [Friction(c) for c in contacts if c.tool.friction]
     if not frictions:
@@ -263,7 +239,7 @@ def _assemble(
     model.resting += sum(g.tension for g in file.grippers)
     model.resting += file.gravity * 1e-6 * GRAVITY * fabric.areal_weight * blank.areas.sum()
     pulls = grips(model, file, outline)
-    model.terms = [membrane, bending, *contacts, *frictions, *weights, *pulls]
+    model.terms = [membrane_of(sheet), bending, *contacts, *frictions, *weights, *pulls]
 
 
 def _rest(model: Model, contacts: Sequence[Contact]) -> list[Term]:

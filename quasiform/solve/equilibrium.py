@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -26,7 +27,7 @@ class Equilibrium:
     model: Model
     linear: str = "auto"
     tolerance: float = 1e-4  # of the residual at the end of the travel
-    convex: str = "on demand"  # see `Tangent`
+    convex: str = "on demand"  # or "always", "never": when that takes the exact one's place
     max_iterations: int = 400  # of Newton's method in one solve
     travel: float = 0.0  # where the prescribed unknowns are
     carried: float = 2e-2  # residual that lagged values may leave to the next increment
@@ -144,9 +145,7 @@ class Equilibrium:
         """(n_dofs,) motion of the prescribed unknowns from x to `travel`, mm."""
         return np.where(self.model.fixed, self.model.prescribed(travel)[0] - x, 0.0)
 
-    def factor(
-        self, x: FloatArray, convex: float, **given: FloatArray | None
-    ) -> tuple[int, FloatArray]:
+    def factor(self, x: FloatArray, convex: float, **given: Any) -> tuple[int, FloatArray]:
         """Factorise a tangent at x; see `Tangent.factor`."""
         return self.tangent.factor(x, self.memory, convex, **given)
 

@@ -257,13 +257,8 @@ class _Steps:
 def _progress(run: Run, elapsed: float) -> Progress:
     """How far a run has come."""
     equations, model = run.equations, run.model
-    return Progress(
-        run.travel,
-        model.travel,
-        equations.residual(equations.gradient(run.x)),
-        run.account.force / model.share,
-        sum(int((c.penetration(run.x) > 0).sum()) for c in model.contacts),
-        equations.tangent.factorisations,
-        elapsed,
-        {name: measure(run.x) for name, measure in model.measures.items()},
-    )
+    residual, force = equations.residual(equations.gradient(run.x)), run.account.force / model.share
+    contacts = sum(int((c.penetration(run.x) > 0).sum()) for c in model.contacts)
+    so_far = equations.tangent.factorisations, elapsed
+    measures = {name: measure(run.x) for name, measure in model.measures.items()}
+    return Progress(run.travel, model.travel, residual, force, contacts, *so_far, measures)

@@ -138,19 +138,14 @@ class Journal:
 
     def _checkpoint(self, run: Run, step: float, elapsed: float) -> bytes:
         states = run.states
-        head = {
-            "format": FORMAT,
-            "recipe": _recipe(run),
-            "options": self.options,
-            "parameters": run.model.parameters,
-            "settings": asdict(run.settings),
-            "step": step,
-            "elapsed": elapsed,
-            "travel": run.travel,
-            "account": asdict(run.account),
-            "counted": [{name: getattr(of, name) for name in names} for of, names in _counted(run)],
-        }
+        head = {"format": FORMAT, "recipe": _recipe(run), "options": self.options}
+        head |= {"parameters": run.model.parameters, "settings": asdict(run.settings)}
+        head |= {"step": step, "elapsed": elapsed, "travel": run.travel}
+        head |= {"account": asdict(run.account)}
+        head["counted"] = [{name: getattr(of, name) for name in kept} for of, kept in _counted(run)]
         rows = [[s.travel, s.force, s.linear_solves, *s.measures.values()] for s in states]
+        arrays = {"x": run.x, "g": run.equations.gradient(run.x), "rows": np.array(rows)}
+        arrays["states"] = np.array([state.x for state in states])
         memory = {
             f"term {i} {entry.name}": getattr(state, entry.name)
             for i, state in enumerate(run.memory)
@@ -158,15 +153,7 @@ class Journal:
             for entry in fields(state)
         }
         stream = io.BytesIO()
-        np.savez(
-            stream,
-            head=np.array(_json(head)),
-            x=run.x,
-            g=run.equations.gradient(run.x),
-            states=np.array([state.x for state in states]),
-            rows=np.array(rows),
-            **memory,
-        )
+        np.savez(stream, head=np.array(_json(head)), **arrays, **memory)
         return stream.getvalue()
 
     def restore(self, run: Run) -> tuple[float, float]:
@@ -250,8 +237,5 @@ def _json(content: Any) -> str:
 
 def _counted(run: Run) -> tuple[tuple[Any, tuple[str, ...]], ...]:
     """Objects of a run beside its account, and what of them goes into a checkpoint."""
-    equations = run.equations
-    return (
-        (equations, ("carried_on", "relaxed", "travel")),
-        (equations.tangent, ("factorisations", "convex_taken", "share")),
-    )
+    of_tangent = "factorisations", "convex_taken", "share"
+    return (run.equations, ("carried_on", "relaxed", "travel")), (run.equations.tangent, of_tangent)

@@ -152,14 +152,12 @@ def _check_accuracy(result: Result, accuracy: float | None) -> None:
     """Give the reason where an accuracy that was asked for is not reached."""
     if accuracy is None or result.reason:
         return
-    error = result.estimate["shear_angle_deg"]
+    error, size = result.estimate["shear_angle_deg"], result.model.size
+    wanted = f"accuracy of {accuracy:g} degrees"
     if error is None:
-        result.reason = f"accuracy of {accuracy:g} degrees: no estimate of the error"
+        result.reason = f"{wanted}: no estimate of the error"
     elif error > accuracy:
-        result.reason = (
-            f"accuracy of {accuracy:g} degrees not reached: estimated {error:.2g} at a size of "
-            f"{result.model.size:g} mm"
-        )
+        result.reason = f"{wanted} not reached: estimated {error:.2g} at a size of {size:g} mm"
 
 
 def _last_increment(path: Result) -> FloatArray:

@@ -116,11 +116,10 @@ class SuperLU:
 
 
 def nested_dissection(graph: csr_array, points: FloatArray, leaf: int = 64) -> np.ndarray:
-    """Elimination order by recursive bisection (George 1973), separators last.
+    """Elimination order (n,) by recursive bisection (George 1973), separators last.
 
     The plane is halved by coordinate; the separator is what couples the lower half to the upper.
-    Unknowns of a symmetric (n, n) pattern lie at points (n, 2); those at nan are put at the very
-    end, and a part of no more than `leaf` is not divided further.
+    Unknowns at nan are put at the very end.
     """
     rigid = np.isnan(points).any(1)
     upper = np.zeros(len(points), dtype=bool)

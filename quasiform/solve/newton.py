@@ -119,11 +119,10 @@ def _line_search(
 def settle(equations: Equilibrium, x: FloatArray) -> FloatArray:
     """Minimise and refresh the lagged values until the residual with fresh ones is small.
 
-    The normal forces of friction are a fixed point, which Anderson's mixing (1965) speeds up:
-    the next ones are those at which the changes of the last passes would cancel. A pass is
-    solved to a fifth of what the last refreshing had left, no further. After a snap a sheet
-    may still creep for dozens of passes; on the way, the next increment may take over the last
-    of it.
+    The normal forces of friction are a fixed point, which Anderson's mixing (1965) speeds up: the
+    next ones are those at which the changes of the last passes would cancel. A pass is solved to a
+    fifth of what the last one left, no further. After a snap a sheet may still creep for dozens of
+    passes; on the way, the next increment may take over the last of it.
     """
     mixed, goal = equations.mixed, equations.goal
     passes = 60 if equations.at_end else 12

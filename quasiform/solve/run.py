@@ -235,15 +235,9 @@ class Run:
         return force, self.equations.potential.energy(x, memory)
 
     def keep(self) -> None:
-        self.states.append(
-            State(
-                self.travel,
-                self.x.copy(),
-                self.account.force / self.model.share,
-                self.equations.tangent.factorisations,
-                {name: measure(self.x) for name, measure in self.model.measures.items()},
-            )
-        )
+        force, solves = self.account.force / self.model.share, self.equations.tangent.factorisations
+        measures = {name: measure(self.x) for name, measure in self.model.measures.items()}
+        self.states.append(State(self.travel, self.x.copy(), force, solves, measures))
 
     def result(self, reason: str, wall: float) -> Result:
         """Result of the states kept, the last of them the end."""

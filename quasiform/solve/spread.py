@@ -49,10 +49,8 @@ def spread(
         for seed in seeds
     ]
     ended = [run for run in runs if run.states[-1].travel == base.states[-1].travel]
-    found = [
-        run.quantities | {name: value for name, value in run.wrinkles.items() if value is not None}
-        for run in ended
-    ]
+    waves = [{k: v for k, v in run.wrinkles.items() if v is not None} for run in ended]
+    found = [run.quantities | more for run, more in zip(ended, waves, strict=True)]
     table = {}
     for name in found[0]:
         values = [quantities[name] for quantities in found if name in quantities]

@@ -19,8 +19,7 @@ LEAST_SHARE = 1 / 64  # of the convex tangent, while a sheet slides off a saddle
 class Tangent:
     """The tangent of a potential, with the linear solver of that name.
 
-    `places` (n_free, 2) are the flat places of the free unknowns, mm; nan without one. `convex`
-    ("on demand", "always" or "never") says when the convex tangent takes the place of the exact.
+    `places` (n_free, 2) of the free unknowns are flat, mm; nan without one.
     """
 
     def __init__(self, potential: Potential, places: FloatArray, linear: str, convex: str) -> None:
