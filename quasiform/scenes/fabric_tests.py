@@ -108,7 +108,7 @@ def strip_under_tension(
         unknowns,
         sheet,
         membrane,
-        held=left | right,
+        fixed=left | right,
         drive=drive,
         travel=float(given["displacement"]),
         parameters={**identity, **numbers, "size": size, "mesh": str(mesh)},
@@ -130,10 +130,10 @@ def strip_under_tension(
 
 
 def _plane(
-    name: str, unknowns: Unknowns, sheet: Sheet, membrane: Membrane, held: np.ndarray, **given: Any
+    name: str, unknowns: Unknowns, sheet: Sheet, membrane: Membrane, fixed: np.ndarray, **given: Any
 ) -> Model:
-    """Model of a plane test, flat and with the `held` (n_nodes,) bool nodes fixed."""
-    x0, fixed = sheet.blank.nodes.ravel().copy(), np.repeat(held, 2)
+    """Model of a plane test whose sheet is flat, with `fixed` (n_nodes,) bool nodes."""
+    x0, fixed = sheet.blank.nodes.ravel().copy(), np.repeat(fixed, 2)
     given |= {"increment": 5.0, "rows": 5.0}
     return Model(name, unknowns, [sheet], [membrane], x0, fixed, **given)
 
@@ -211,8 +211,7 @@ def sheet_in_frame(
     """Build the model of a picture frame."""
     blank = rectangle(side, side, size)
     sheet = (unknowns := Unknowns()).sheet(blank, fabric, 2)
-    rim = np.zeros(len(blank.nodes), dtype=bool)
-    rim[np.unique(blank.mesh.facets[:, blank.mesh.boundary_facets()])] = True
+    rim = np.isin(np.arange(len(blank.nodes)), blank.mesh.boundary_nodes())
     diagonal = np.array([[1.0, 1.0], [-1.0, 1.0]]) / np.sqrt(2.0)  # pulled, and across
 
     def frame(d: float) -> tuple[FloatArray, FloatArray]:
@@ -229,7 +228,7 @@ def sheet_in_frame(
         unknowns,
         sheet,
         Membrane(sheet),
-        held=rim,
+        fixed=rim,
         drive=frame,
         travel=2.0 * side * cos(np.pi / 4 - gamma / 2) - np.sqrt(2.0) * side,
         parameters={"side": side, "shear": shear, "law": fabric.name, "size": size},

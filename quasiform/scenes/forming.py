@@ -246,8 +246,7 @@ def _rest(model: Model, contacts: Sequence[Contact]) -> list[Term]:
     """Place the tools; start at the equilibrium of resting ones, sunk in with the sheet."""
     sheet, x0, fixed = model.sheet, model.x0, model.fixed
     heights, t0 = sheet.dofs[:, 2], sheet.fabric.thickness
-    weights: list[Term] = []
-    sunk = 0.0
+    weights, sunk = list[Term](), 0.0
     for contact in contacts:
         tool, dof = contact.tool, int(contact.tool_dofs[0])
         x0[dof] = tool.height
@@ -278,8 +277,7 @@ def _rest(model: Model, contacts: Sequence[Contact]) -> list[Term]:
 def _between_nodes(model: Model, contacts: Sequence[Contact]) -> list[Contact]:
     """Contact between nodes, for the tools whose edges are sharper than the mesh."""
     blank = model.sheet.blank
-    edges = at_edges(blank)
-    finest = blank.size * (1 - 1e-9)
+    edges, finest = at_edges(blank), blank.size * (1 - 1e-9)
     sharp = [c for c in contacts if getattr(c.tool.shape, "sharpest", 0.0) < finest]
     why = f"{'a' if sharp else 'no'} tool bends more sharply than the elements"
     model.description.append((f"contact at nodes{' and mid-edges' * bool(sharp)}", why))

@@ -30,8 +30,8 @@ class Equilibrium:
     convex: str = "on demand"  # or "always", "never": when that takes the exact one's place
     max_iterations: int = 400  # of Newton's method in one solve
     travel: float = 0.0  # where the prescribed unknowns are
-    carried: float = 2e-2  # residual that lagged values may leave to the next increment
-    carried_on: int = 0  # how often they did
+    left_over: float = 2e-2  # residual that lagged values may leave to the next increment
+    continued: int = 0  # how often they did
     relaxed: int = 0  # iterations of dynamic relaxation so far
     memory: Memory = field(init=False)
     foreseen: FloatArray | None = field(init=False, default=None)  # stress, by the last prediction

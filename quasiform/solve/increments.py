@@ -166,7 +166,7 @@ def follow(
         raise InputError(f"increment must be at least {least:g}, got {settings.increment:g}")
     run = Run(Equilibrium(model, settings.linear, settings.tolerance, settings.convex), settings)
     steps = _Steps(run)
-    if journal and journal.held:
+    if journal and journal.recorded:
         steps.next, elapsed = journal.restore(run)
         clock -= elapsed
     else:

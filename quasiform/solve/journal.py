@@ -61,7 +61,7 @@ class Journal:
         resume: bool = False,
     ) -> None:
         self.folder, self.options = Path(out), options or {}
-        self.held: dict[str, Any] = {}
+        self.recorded: dict[str, Any] = {}
         self.goal = ""  # what follows the travel, as a text
         self._rows = 0
         if resume:
@@ -81,14 +81,14 @@ class Journal:
             raise InputError(f"{self.folder} holds no run that can be continued{done}")
         with self._reading(), path.open("rb") as stream, np.load(stream) as file:
             arrays = {name: file[name] for name in file.files}
-            self.held = {**json.loads(str(arrays.pop("head"))), "arrays": arrays}
-            known = self.held.get("format", 1)
+            self.recorded = {**json.loads(str(arrays.pop("head"))), "arrays": arrays}
+            known = self.recorded.get("format", 1)
             if known != FORMAT:
                 raise InputError(
                     f"{path}: a record of format {known}, this version continues {FORMAT}: "
                     "start the run again"
                 )
-            self.options = self.held["options"]
+            self.options = self.recorded["options"]
 
     @contextmanager
     def _reading(self) -> Iterator[None]:
@@ -105,13 +105,13 @@ class Journal:
 
         Raises InputError if the record holds none, or its parts are not there any more.
         """
-        if not self.held["recipe"]:
+        if not self.recorded["recipe"]:
             raise InputError(
                 f"{self.folder}: the run there has no recipe; continue it with "
                 "solve(model, out=..., resume=True)"
             )
         with self._reading():
-            return Recipe.read(self.held["recipe"]).build()
+            return Recipe.read(self.recorded["recipe"]).build()
 
     def record(self, run: Run, step: float, elapsed: float) -> str:
         """Write the run as it stands after an increment; `step` is the size of the next, mm.
@@ -162,7 +162,7 @@ class Journal:
         The size of its next increment, mm, and the time that it took, s. Raises InputError if the
         model or the settings are others, or the record is damaged.
         """
-        held, model = self.held, run.model
+        recorded, model = self.recorded, run.model
         other = InputError(
             f"{self.folder}: the run there is of another input: scene, material or program have "
             "changed since"
@@ -170,23 +170,23 @@ class Journal:
         given = json.loads(_json(model.parameters))
         settings = json.loads(_json(asdict(run.settings)))
         with self._reading():
-            arrays = held["arrays"]
-            if changed := [name for name in settings if settings[name] != held["settings"][name]]:
+            arrays, before = recorded["arrays"], recorded["settings"]
+            if changed := [name for name in settings if settings[name] != before[name]]:
                 raise InputError(
                     f"{self.folder}: the run there was made with another {', '.join(changed)}"
                 )
-            for parameters in (given, held["parameters"]):
+            for parameters in (given, recorded["parameters"]):
                 parameters.pop("scene_file", None)  # it may have moved
-            if held["parameters"] != given or arrays["x"].shape != model.x0.shape:
+            if recorded["parameters"] != given or arrays["x"].shape != model.x0.shape:
                 raise other
-            run.x, run.travel = arrays["x"], held["travel"]
+            run.x, run.travel = arrays["x"], recorded["travel"]
             run.states = [
                 State(s, x, force, int(n), dict(zip(model.measures, measures, strict=True)))
                 for x, (s, force, n, *measures) in zip(
                     arrays["states"], arrays["rows"].tolist(), strict=True
                 )
             ]
-            run.account = Account(**held["account"])
+            run.account = Account(**recorded["account"])
             run.memory = tuple(
                 s and replace(s, **{f.name: arrays[f"term {i} {f.name}"] for f in fields(s)})
                 for i, s in enumerate(run.memory)
@@ -196,11 +196,11 @@ class Journal:
             if not np.allclose(g, arrays["g"], rtol=1e-9, atol=1e-9 * np.abs(arrays["g"]).max()):
                 raise other
             run.equations.certify(run.x)  # as the run had done: the next steps are the same ones
-            for (of, _), values in zip(_counted(run), held["counted"], strict=True):
+            for (of, _), values in zip(_counted(run), recorded["counted"], strict=True):
                 for name, value in values.items():
                     setattr(of, name, value)
         self._rows = len(run.states)
-        return held["step"], held["elapsed"]
+        return recorded["step"], recorded["elapsed"]
 
     def close(self, result: Result) -> None:
         """Write the result; a completed run cannot be continued.
@@ -238,4 +238,4 @@ def _json(content: Any) -> str:
 def _counted(run: Run) -> tuple[tuple[Any, tuple[str, ...]], ...]:
     """Objects of a run beside its account, and what of them goes into a checkpoint."""
     of_tangent = "factorisations", "convex_taken", "share"
-    return (run.equations, ("carried_on", "relaxed", "travel")), (run.equations.tangent, of_tangent)
+    return (run.equations, ("continued", "relaxed", "travel")), (run.equations.tangent, of_tangent)

@@ -76,7 +76,7 @@ def refine(
     clock = time.perf_counter()
     settings = Settings(increment, linear=linear, tolerance=tolerance)
     journal = out if isinstance(out, Journal) or out is None else Journal(out, resume=resume)
-    clock -= journal.held.get("elapsed", 0.0) if journal else 0.0
+    clock -= journal.recorded.get("elapsed", 0.0) if journal else 0.0
     if model.changed:
         result = follow(model, settings, callback, journal)
         result.notes.append(CHANGED)

@@ -138,8 +138,8 @@ def settle(equations: Equilibrium, x: FloatArray) -> FloatArray:
         if residual < (3 if i < 8 else 8) * goal:
             return x
         inner = max(goal, 0.2 * residual) if mixed else goal
-        if not equations.at_end and i >= 6 and residual < equations.carried:
-            equations.carried_on += 1
+        if not equations.at_end and i >= 6 and residual < equations.left_over:
+            equations.continued += 1
             return x
         fresh.append(equations.lagged())
         used, fresh = used[-6:], fresh[-6:]

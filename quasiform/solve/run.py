@@ -244,7 +244,7 @@ class Run:
         equations, account, tangent = self.equations, self.account, self.equations.tangent
         x = self.states[-1].x
         g = equations.gradient(x)
-        own = {"convex tangent": tangent.convex_taken, "friction carried on": equations.carried_on}
+        own = {"convex tangent": tangent.convex_taken, "friction continued": equations.continued}
         return Result(
             model=self.model,
             states=list(self.states),
