@@ -392,9 +392,10 @@ def _forces(runs: Sequence[Record], labels: Sequence[str], end: float, notes: li
     axes.set_xlabel(f"{' or '.join(name.replace('_', ' ') for name in names)} in mm")
     axes.set_ylabel("force in N")
     axes.set_xlim(left=0.0)
-    sound = [run.history["force_N"][: plot.sound_rows(run)].max() for run in shown]
-    if any(run.summary.get("collapse") for run in shown):  # a force beyond means nothing
-        axes.set_ylim(top=1.5 * max(sound))
+    sound = [run.history["force_N"][: plot.sound_rows(run)] for run in shown]
+    low, high = (f(np.concatenate([*sound, [0.0]])) for f in (np.min, np.max))
+    if high > low and any(run.summary.get("collapse") for run in shown):
+        axes.set_ylim(1.05 * low - 0.05 * high, 1.5 * high - 0.5 * low)  # of what means something
     if axes.get_legend_handles_labels()[0]:
         figure.legend(loc="outside right upper")
     return figure
