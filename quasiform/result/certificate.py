@@ -135,8 +135,6 @@ def trust(result: Outcome) -> list[str]:
         if reason in LIMITED and (share := areas @ flag) >= SHARE:
             words = LIMITED[reason].format(range=result.model.sheet.fabric.shear_range)
             found.append(f"{100 * share:.0f} % of the area is {words}")
-    if result.collapse:
-        found.append(f"collapsed from {result.collapse['travel_mm']:.4g} mm on")
     if many := one_of_many(result):
         found.append(f"one of many states: {many}")
     return found
