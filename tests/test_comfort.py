@@ -282,7 +282,6 @@ def test_every_option_has_a_help_text(capsys, command):
     assert missing == []
 
 
-@pytest.mark.xfail(not hasattr(scene_file, "json_schema"), reason="the schema is on its way")
 def test_the_schema_of_a_scene_is_printed(capsys):
     assert main(["schema"]) == 0
     schema = json.loads(capsys.readouterr().out)

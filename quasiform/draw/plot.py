@@ -673,6 +673,6 @@ def off_axis_theory(run: Record) -> tuple[FloatArray, FloatArray, FloatArray] | 
     except (TypeError, ValueError):  # a size is not known, or a fibre joins both grips
         return None
     u = np.linspace(0.0, min(run.goal, 0.999 * strip.displacement_limit), 200)
-    fabric = run.model.fabric
+    fabric = run.model.sheet.fabric
     force = strip.force(u, fabric.shear.stress, fabric.thickness)
     return u, np.degrees(strip.angles(u)[0]), force

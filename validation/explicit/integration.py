@@ -3,10 +3,10 @@
     M a = -dE/dx - α M v,      central differences with the step 0.7 · 2/ω_max
 
 M is lumped: areal weight times tributary area (times a mass scaling), and the real mass of a tool
-that rests by its weight. ω_max is the highest frequency of the flat sheet with all of it in touch;
-it rises with the shear, at 45° to (1 + sin γ)^½ of it. The energy E is the scene's own; the anchors
-of friction move in every step. The punch follows 10 τ³ - 15 τ⁴ + 6 τ⁵ over the motion and then
-holds. No equation is solved.
+that rests by its weight. ω_max is the highest frequency of the flat sheet, all in contact; it
+rises with the shear, at 45° to (1 + sin γ)^½ of it. The energy E is the scene's own; the anchors of
+friction move in every step. The punch follows 10 τ³ - 15 τ⁴ + 6 τ⁵ over the motion and then
+stops. No equation is solved.
 
 Mass is in tonnes (N s²/mm), time in seconds.
 """
@@ -23,10 +23,10 @@ import numpy as np
 from scipy.sparse import csr_array, diags_array
 from scipy.sparse.linalg import eigsh
 
-from quasiform.energy import Potential
 from quasiform.energy.friction import Friction
 from quasiform.energy.weight import ToolWeight
-from quasiform.model import Scene
+from quasiform.model import Model
+from quasiform.potential import Memory, Potential
 
 FloatArray = np.ndarray
 STABLE = 0.7  # of the longest stable step of the flat sheet
@@ -57,7 +57,7 @@ class Motion:
 class Explicit:
     """State at the end, and a row every 5 mm of travel and at the end."""
 
-    scene: Scene
+    scene: Model
     x: FloatArray
     rows: list[tuple[float, ...]]
     step: float
@@ -66,12 +66,12 @@ class Explicit:
     processor_s: float
 
     def save(self, folder: Path) -> None:
-        """Write `result.vtu` and `history.csv`: what any other code could write too."""
+        """Write `result.vtu` and `history.csv`: as another code could write them."""
         scene = self.scene
-        blank, source, _, triangle, sign = scene.whole
+        blank, source, _, triangle, sign = scene.sheet.whole
         X = np.pad(blank.nodes, ((0, 0), (0, 1)))
-        X[:, 2] = scene.positions(scene.x0)[source, 2]
-        x = scene.whole_positions(self.x)
+        X[:, 2] = scene.sheet.positions(scene.x0)[source, 2]
+        x = scene.sheet.whole_positions(self.x)
         gamma = np.degrees(scene.membrane.shear_angle(self.x))[triangle] * sign
         meshio.Mesh(
             x,
@@ -85,22 +85,21 @@ class Explicit:
             writer.writerows([f"{value:.8g}" for value in row] for row in self.rows)
 
 
-def integrate(scene: Scene, motion: Motion) -> Explicit:
+def integrate(scene: Model, motion: Motion) -> Explicit:
     """Integrate a scene in time from its start, at rest.
 
     The force of a row is the mean over the last millimetre of travel, at the end that over the
-    second half of the hold: single values of an explicit run ring.
+    second half of the hold: single values of an explicit run oscillate.
     """
     clock, processor = time.perf_counter(), time.process_time()
     free = ~scene.fixed
-    potential = Potential(scene.terms, free)
+    memory = tuple(term.initial(scene.x0) for term in scene.terms)
+    potential = Potential(scene.terms, free, memory)
     m = _masses(scene, motion.mass_scaling)
-    dt = STABLE * 2.0 / _highest(scene, potential, m)
+    dt = STABLE * 2.0 / _highest(scene, potential, memory, m)
     steps = int(np.ceil((motion.duration + motion.hold) / dt))
     half = 0.5 * motion.damping * dt
     x, v = scene.x0.copy(), np.zeros_like(scene.x0)
-    for term in scene.frictions:
-        term.reset(x)
     _, rate = scene.prescribed(0.0)
     rows, window = [], []
     goal = 0.0
@@ -109,11 +108,9 @@ def integrate(scene: Scene, motion: Motion) -> Explicit:
         travel = scene.travel * tau**3 * (10 - 15 * tau + 6 * tau**2)
         place, rate = scene.prescribed(travel)
         x = np.where(free, x, place)
-        for term in scene.remembering:
-            term.refresh(x)
-        g = potential.gradient(x)
-        for term in scene.remembering:
-            term.commit(x)
+        memory = potential.refresh(x, memory)
+        g = potential.gradient(x, memory)
+        memory = potential.commit(x, memory)
         before = v
         v = np.where(free, ((1 - half) * v - dt * g / m) / (1 + half), 0.0)
         force = float(np.where(free, 0.0, rate) @ g) / scene.share
@@ -132,23 +129,24 @@ def integrate(scene: Scene, motion: Motion) -> Explicit:
     return Explicit(scene, x, rows, dt, steps, *taken)
 
 
-def _masses(scene: Scene, scaling: float) -> FloatArray:
-    """(n_dofs,) lumped masses, t; ones on what is prescribed."""
+def _masses(scene: Model, scaling: float) -> FloatArray:
+    """(n_dofs,) lumped masses, t; ones on prescribed dofs."""
     m = np.ones(len(scene.x0))
-    areas = 1e-12 * scene.fabric.areal_weight * scaling * scene.blank.node_areas
-    m[: scene.n_nodal] = np.repeat(areas, 3)
+    sheet = scene.sheet
+    areas = 1e-12 * sheet.fabric.areal_weight * scaling * sheet.blank.node_areas
+    m[sheet.dofs] = areas[:, None]
     for contact in scene.contacts:
         if contact.tool.motion == "free":
             m[contact.tool_dofs] = 1e-3 * contact.tool.mass * scene.share
     return m
 
 
-def _highest(scene: Scene, potential: Potential, m: FloatArray) -> float:
-    """Highest frequency, 1/s, of the start with every point of the sheet in touch with all tools.
+def _highest(scene: Model, potential: Potential, memory: Memory, m: FloatArray) -> float:
+    """Highest frequency, 1/s, of the start with each point of the sheet in contact with all tools.
 
-    The contacts count by the row sums of their stiffness.
+    The contacts are included by the row sums of their stiffness.
     """
-    values, _ = potential.hessian(scene.x0, convex=True)
+    values, _ = potential.hessian(scene.x0, memory, convex=True)
     upper = csr_array((values, potential.pattern.indices, potential.pattern.indptr))
     touch = np.zeros(len(m))
     for contact in scene.contacts:
@@ -159,7 +157,7 @@ def _highest(scene: Scene, potential: Potential, m: FloatArray) -> float:
     return float(np.sqrt(eigsh(scaled, k=1, which="LA", tol=1e-3)[0][0]))
 
 
-def _internal(scene: Scene, x: FloatArray) -> float:
+def _internal(scene: Model, x: FloatArray) -> float:
     """Strain energy of the sheet and of its contacts, mJ."""
     stored = [t for t in scene.terms if not isinstance(t, Friction | ToolWeight)]
-    return float(sum(term.energy(x).sum() for term in stored)) / scene.share
+    return float(sum(term.energy(x, None).sum() for term in stored)) / scene.share

@@ -1,7 +1,7 @@
-"""What each reduction of the model buys: time saved and answer changed, beside the error estimate.
+"""Effect of each simplification: time saved and change of the result, with the error estimate.
 
-Each run is the full path on the hemisphere at 0° and 10 mm with all reductions but one, or, for
-mesh continuation, at 5 mm. The plane problem is that of the off-axis tension test.
+Each run is the full path on the hemisphere at 0° and 10 mm with all simplifications except one; for
+mesh continuation, at 5 mm. The plane problem is the off-axis tension test.
 """
 
 from __future__ import annotations
@@ -20,23 +20,24 @@ from quasiform.energy.contact import Contact, at_edges
 from quasiform.energy.friction import Friction
 from quasiform.energy.membrane import Membrane
 from quasiform.scenes import scene_file
+from quasiform.unknowns import Unknowns
 
-from .rows import markdown
+from ..tables import markdown_table
 
 Solve = Callable[[], qf.Result]
 
 
 def table() -> str:
-    """Markdown, one row a reduction."""
+    """A Markdown table, one row per simplification."""
     rows = []
     with TemporaryDirectory() as folder:
         for name, where, reduced, full in _pairs(Path(folder)):
             short, seconds = _timed(reduced)
             long, without = _timed(full)
             p99 = [r.quantities["shear_angle_deg"] for r in (short, long)]
-            judge = short.scene.resized(2 * short.scene.size) if short.scene.resized else None
-            if short.estimate["shear_angle_deg"] is None and judge is not None:
-                short.judge([qf.solve(judge, estimate=False)])
+            if short.estimate["shear_angle_deg"] is None:
+                coarse = short.model.recipe.build(2 * short.model.size)
+                short.judge([qf.solve(coarse, estimate=False)])
             rows.append(
                 [
                     name,
@@ -56,20 +57,20 @@ def table() -> str:
                 ]
             )
             print("; ".join(map(str, rows[-1])), flush=True)
-    head = ["reduction", "where", "s with", "s without", "ratio", "dofs", "solves"]
+    head = ["simplification", "where", "s with", "s without", "ratio", "dofs", "solves"]
     head += ["force changed %", "p99 changed °", "estimate of force %", "estimate of p99 °"]
     return (
-        "Processor times of the solve, with the reduction and without it; a ratio above 1 is time "
-        "saved.\nThe estimates are those of the mesh, for comparison.\n\n"
-        + markdown([*head, "certified"], rows)
+        "Processor times of the solve, with the simplification and without it; a ratio above 1 is "
+        "time saved.\nThe estimates are those of the mesh, for comparison.\n\n"
+        + markdown_table([*head, "certified"], rows)
     )
 
 
 def _pairs(folder: Path) -> list[tuple[str, str, Solve, Solve]]:
-    """(reduction, where, with it, without it)."""
+    """(simplification, where, with it, without it)."""
     here, strip = "hemisphere, 10 mm", "off-axis tension 45°, 10 mm"
 
-    def path(scene: Callable[[], qf.Scene]) -> Solve:
+    def path(scene: Callable[[], qf.Model]) -> Solve:
         return lambda: qf.solve(scene(), estimate=False)
 
     plain = path(_hemisphere)
@@ -77,7 +78,7 @@ def _pairs(folder: Path) -> list[tuple[str, str, Solve, Solve]]:
     return [
         ("plane problem", strip, path(_strip), path(_strip_in_space)),
         (
-            "the same, in-plane bending counted as left out",
+            "the same, without in-plane bending as well",
             strip,
             path(_strip),
             path(lambda: _strip_in_space(1.0)),
@@ -95,14 +96,14 @@ def _pairs(folder: Path) -> list[tuple[str, str, Solve, Solve]]:
             path(lambda: _hemisphere(symmetry="none")),
         ),
         (
-            "friction left out at zero",
+            "no friction terms at zero friction",
             here,
             path(lambda: _hemisphere(friction=0.0)),
             path(lambda: _hemisphere(friction=1e-6)),
         ),
-        ("weight of the sheet left out", here, plain, path(_with_weight)),
+        ("no weight of the sheet", here, plain, path(_with_weight)),
         ("punch in closed form", here, plain, path(lambda: qf.forming(ball, size=10.0))),
-        ("contact between nodes left out", here, plain, path(_with_mid_edges)),
+        ("contact at nodes only", here, plain, path(_with_mid_edges)),
         (
             "mesh continuation",
             "hemisphere, 5 mm",
@@ -119,7 +120,7 @@ def _timed(solve: Solve) -> tuple[qf.Result, float]:
 
 
 def _dofs(result: qf.Result) -> int:
-    return int((~result.scene.fixed).sum())
+    return int((~result.model.fixed).sum())
 
 
 def _shown(value: float | None, factor: float) -> str:
@@ -128,24 +129,24 @@ def _shown(value: float | None, factor: float) -> str:
 
 def _hemisphere(
     size: float = 10.0, symmetry: str = "auto", friction: float | None = None
-) -> qf.Scene:
+) -> qf.Model:
     law = qf.Fabric() if friction is None else replace(qf.Fabric(), friction=friction)
     return qf.forming("hemisphere", law=law, size=size, symmetry=symmetry)
 
 
-def _with_weight() -> qf.Scene:
+def _with_weight() -> qf.Model:
     return qf.forming(replace(scene_file.load("hemisphere"), gravity=True), size=10.0)
 
 
-def _with_mid_edges() -> qf.Scene:
-    """Contact between the nodes too, where no tool is sharp enough for it to be needed."""
+def _with_mid_edges() -> qf.Model:
+    """Contact between the nodes too, although no tool is sharp enough to need it."""
     scene = _hemisphere()
-    edges = at_edges(scene.blank)
+    edges = at_edges(scene.sheet.blank)
     for contact in scene.contacts:
-        between = Contact(scene.blank, scene.fabric, contact.tool, contact.tool_dofs[0], edges)
+        between = Contact(scene.sheet, contact.tool, contact.tool_dofs, edges)
         scene.terms.append(between)
         if contact.tool.friction:
-            scene.terms.append(Friction(between, scene.x0))
+            scene.terms.append(Friction(between))
     return scene
 
 
@@ -181,29 +182,30 @@ def _stl(folder: Path) -> str:
     return str(scene)
 
 
-def _strip() -> qf.Scene:
+def _strip() -> qf.Model:
     return qf.off_axis_tension(45.0, displacement=40.0)
 
 
-def _strip_in_space(in_plane: float = 0.0) -> qf.Scene:
+def _strip_in_space(in_plane: float = 0.0) -> qf.Model:
     """Off-axis tension free to leave its plane, with bending of the fibre lines."""
     flat = _strip()
-    fabric = replace(flat.fabric, in_plane_bending=in_plane)
-    n = len(flat.blank.nodes)
+    blank, n = flat.sheet.blank, len(flat.sheet.blank.nodes)
+    fabric = replace(flat.sheet.fabric, in_plane_bending=in_plane)
 
     def spatial(values: np.ndarray, out_of_plane: np.ndarray | float | bool) -> np.ndarray:
         found = np.empty((n, 3), dtype=values.dtype)
         found[:, :2], found[:, 2] = values.reshape(n, 2), out_of_plane
         return found.ravel()
 
+    sheet = (unknowns := Unknowns()).sheet(blank, fabric, dim=3)
     return replace(
         flat,
-        fabric=fabric,
-        dim=3,
-        terms=[Membrane(flat.blank, fabric, 3), Bending(flat.blank, fabric)],
+        unknowns=unknowns,
+        sheets=[sheet],
+        terms=[Membrane(sheet), Bending(sheet)],
         x0=spatial(flat.x0, 0.0),
         fixed=spatial(flat.fixed, flat.fixed[::2]),
         drive=spatial(flat.drive, 0.0),
         measures={},
-        resized=None,
+        recipe=None,
     )
