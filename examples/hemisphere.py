@@ -10,7 +10,7 @@ print(f"punch force {result.force:.1f} N")
 print("draw-in, mm:", {edge: round(inward, 2) for edge, inward in result.draw_in.items()})
 
 # whether to believe it
-print("certified:", result.certified)  # or the reasons why not
+print("certified:", bool(result.certified), *result.certified.reasons)
 print("estimated errors:", {name: f"{error:.2g}" for name, error in result.estimate.items()})
 doubts = {why: f"{flag.mean():.1%}" for why, flag in result.doubts().items()}
 print("doubtful triangles:", doubts)

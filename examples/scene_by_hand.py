@@ -1,8 +1,8 @@
 """A model from its parts: a sheet that drapes over a ball under its own weight, with friction.
 
-Where no ready scene fits, unknowns, energies, supports and travel are put together by hand. The travel
-here is a load factor that raises the weight of the sheet from nothing to three times its own. A
-quarter is modelled, with mirror planes along the fibres; results are those of the whole sheet.
+Where no ready scene fits, unknowns, energies, supports and travel are put together by hand. The
+travel is a load factor here: it raises the weight of the sheet from nothing to three times its own.
+A quarter is modelled, with mirror planes along the fibres; results are those of the whole sheet.
 """
 
 import numpy as np

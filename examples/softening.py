@@ -5,7 +5,8 @@ vector d between its ends, the strain e = max(½(|d|²/L² - 1), 0) and the larg
 
     σ(e) = K e exp(-e/e0)                               where e ≥ κ, on the envelope
     σ(e) = k e,  k = K exp(-κ/e0)                       where e < κ
-    E = L [½ k κ² + G(e) - G(κ)]  or  ½ L k e²,         G(e) = ∫ σ = K e0² [1 - (1 + e/e0) exp(-e/e0)].
+    E = L [½ k κ² + G(e) - G(κ)]  or  ½ L k e²,
+    G(e) = ∫ σ = K e0² [1 - (1 + e/e0) exp(-e/e0)].
 
 κ is the state. It changes in `commit` only, after a converged increment, and what it costs is
 dissipated: L [½ k0 κ0² + G(κ1) - G(κ0) - ½ k1 κ1²]. The run owns the state: reset, checkpoint,
