@@ -42,10 +42,7 @@ def _triangle_opening(edge: float, azimuth: float, corner_radius: float, fillet:
 SHAPES: dict[str, tuple[Callable[..., Shape], tuple[str, ...]]] = {
     "round punch": (round_punch, ("radius",)),
     "box punch": (box_punch, ("length", "width", "edge_radius")),
-    "tetrahedron punch": (
-        tetrahedron_punch,
-        ("base_edge", "height", "edge_radius", "azimuth"),
-    ),
+    "tetrahedron punch": (tetrahedron_punch, ("base_edge", "height", "edge_radius", "azimuth")),
     "round opening": (round_opening, ("radius", "fillet")),
     "box opening": (_box_opening, ("length", "width", "corner_radius", "fillet")),
     "triangle opening": (_triangle_opening, ("edge", "azimuth", "corner_radius", "fillet")),
@@ -121,20 +118,10 @@ class Form:
     shape: str
     numbers: tuple[float, ...] = ()
 
-    def build(self) -> Shape:
-        """Return the distance function of the tool.
-
-        Raises
-        ------
-        InputError
-            For numbers that make no shape.
-        """
-        return SHAPES[self.shape][0](*self.numbers)
-
 
 @dataclass(frozen=True)
 class SurfaceFile:
-    """A tool's surface in a file: what `surface.from_file` needs."""
+    """A tool's surface in a file: what `grid.from_file` needs."""
 
     path: Path
     scale: float = 1.0
@@ -173,7 +160,8 @@ class ToolPart:
         """
         if not isinstance(self.geometry, Form):
             return self.geometry
-        shape = self.geometry.build()
+        build, _ = SHAPES[self.geometry.shape]
+        shape = build(*self.geometry.numbers)
         return flipped(shape) if self.role == "holder" else shape
 
 
