@@ -35,6 +35,11 @@ def on_page_content(content: str, **_: object) -> str:
     return FORMULA.sub(mathml, content)
 
 
+def on_page_markdown(markdown: str, **_: object) -> str:
+    """Take out the builder, which cyclopts writes into usages under `python -m mkdocs`."""
+    return re.sub(r"^(quasiform \S+) -m mkdocs", r"\1", markdown, flags=re.MULTILINE)
+
+
 class Markdown(griffe.Extension):
     """Docstrings are numpydoc; what of their markup is not Markdown is turned into it."""
 

@@ -22,9 +22,7 @@ from tempfile import TemporaryDirectory
 ROOT = Path(__file__).resolve().parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 PYTHONS = ("3.11", "3.12", "3.13")
-NEEDED = (
-    "quasiform/geometries/hemisphere.toml",
-)
+NEEDED = ("quasiform/geometries/hemisphere.toml",)
 USE = (  # what a newcomer does first; run where no clone is near
     "quasiform --version",
     "quasiform form hemisphere --dry-run",

@@ -10,6 +10,7 @@ from quasiform.energy.membrane import Membrane
 from quasiform.fabric import Fabric
 from quasiform.net import outline as outlines
 from quasiform.net.blank import Blank, cut, rectangle, rotation
+from quasiform.net.cells import _fan
 from quasiform.unknowns import Unknowns
 
 LENGTH, WIDTH = 320.0, 160.0
@@ -488,7 +489,14 @@ def test_outline_of_a_plate_with_holes():
     assert shape_of(part.unfolded()[0]).equals(shape)
 
 
-def test_crumbs_too_small_for_the_size_are_left_out():
+def test_a_fan_keeps_its_first_right_corner_whole():
+    ring = np.array([(1.0, 2.0), (0.0, 2.0), (0.0, 0.0), (2.0, 0.0), (2.0, 1.0)])
+    for shift in range(5):
+        triangles = _fan(np.roll(np.arange(5), shift), np.roll(ring, shift, axis=0))
+        assert {0, 1, 2} in [set(triangle) for triangle in triangles.tolist()]
+
+
+def test_parts_too_small_for_the_size_are_left_out():
     box = outlines.rectangle(60.0, 40.0)
     pinhole = outlines.with_holes(box, [outlines.disc(0.2, (3.3, 7.1))])
     assert len(cut(pinhole, 5.0, 20.0).outline) == 1

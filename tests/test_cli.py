@@ -332,7 +332,9 @@ def test_oat_writes_every_file_into_a_new_folder(capsys, here):
     rows = squeezed(out)
     assert f" force {summary['force_N']:.4g} ±" in rows
     assert " certified yes" in rows
-    assert f" linear solves {summary['linear_solves']} of the finest mesh (" in rows
+    work = ", ".join(f"{times} at {mesh}" for mesh, times in summary["factorisations"].items())
+    assert f" factorisations {work} (" in rows
+    assert " converged yes" in rows
     assert [name for name in FILES if name not in out] == []
     lines = err.splitlines()
     assert len(lines) == summary["increments"] + 1
@@ -815,7 +817,7 @@ def test_export_hands_over_what_a_run_left(here, capsys, undrawn):
     [
         (["run"], "Exactly 1 of {--to, --trim, --deck} must be specified"),
         (["run", "--to", "calculx"], "did you mean 'calculix'?"),
-        (["run", "--to", "csv"], "run: no such folder of a result"),
+        (["run", "--to", "csv"], "run: no such folder"),
         (["run", "--to", "csv", "--reference", "0,0,0"], "expected X,Y,Z of a direction"),
         (["hemispere", "--deck"], "did you mean 'hemisphere'?"),
     ],

@@ -20,7 +20,7 @@ from quasiform.console.progress import _words
 from quasiform.fabric import PRESETS
 from quasiform.handover import fibres, handover
 from quasiform.identification import campaign, fit
-from quasiform.result.run import package_version
+from quasiform.result.summary import package_version
 from quasiform.scenes import scene_file
 from quasiform.solve import linear
 from quasiform.solve.linear import SuperLU
@@ -282,7 +282,6 @@ def test_every_option_has_a_help_text(capsys, command):
     assert missing == []
 
 
-@pytest.mark.xfail(not hasattr(scene_file, "json_schema"), reason="the schema is on its way")
 def test_the_schema_of_a_scene_is_printed(capsys):
     assert main(["schema"]) == 0
     schema = json.loads(capsys.readouterr().out)

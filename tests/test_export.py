@@ -160,7 +160,7 @@ def test_result_and_its_folder_hand_over_the_same(run):
     for name in ("thickness", "areal_weight", "name"):
         assert one.fabric[name] == other.fabric[name]
     assert moduli(one) == moduli(other)
-    one, other = read_formed(result).sheet, read_formed(folder).sheet
+    one, other = read_formed(result.record).sheet, read_formed(folder).sheet
     for name in ("flat", "points", "triangles"):
         np.testing.assert_allclose(getattr(one, name), getattr(other, name), atol=1e-9)
     np.testing.assert_allclose(one.along, fibres_at(20.0), atol=1e-9)
@@ -579,9 +579,9 @@ def test_deck_of_a_forming_scene(tmp_path, symmetry):
     scene = qf.forming("hemisphere", size=30, symmetry=symmetry)
     notices = abaqus_deck(scene, tmp_path / "new" / "scene.inp", spacing=12.0)
     found, nodes, elsets, nsets = read_deck(tmp_path / "new" / "scene.inp")
-    blank, fabric = scene.blank, scene.fabric
+    blank, fabric = scene.sheet.blank, scene.sheet.fabric
     x = np.array([nodes[i + 1] for i in range(len(blank.nodes))])
-    np.testing.assert_allclose(x, scene.positions(scene.x0), rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(x, scene.sheet.positions(scene.x0), rtol=1e-8, atol=1e-8)
     for name in ("MEMBRANES", "SHELLS"):
         corners = np.array(list(elsets[name].values()))
         assert (corners == blank.triangles + 1).all()

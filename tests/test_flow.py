@@ -1,6 +1,7 @@
-"""The flow of the house is one-way: a room imports from earlier rooms only."""
+"""The structure of the package: rooms in one direction, no circles, small classes and functions."""
 
 import ast
+import re
 from importlib.util import resolve_name
 from pathlib import Path
 
@@ -8,30 +9,13 @@ import pytest
 
 import quasiform
 
-# Each line may import from the lines above it, and a folder from itself.
-FLOW = """
-    checks
-    schema tables toml_file
-    theory
-    fabric net
-    tools
-    scenes.scene_file
-    energy
-    result.measures result.files
-    model
-    result.run
-    solve
-    scenes
-    draw.plot
-    comparison identification
-    result.saved
-    draw handover
-    console
-    __main__
-"""
-ROOMS = {room: level for level, line in enumerate(FLOW.split("\n")) for room in line.split()}
+ROOT = Path(__file__).parents[1]
+TABLE = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+ROWS = re.findall(r"^\| ((?:`\w+`(?:, )?)+) \|", TABLE.split("## The rooms")[1], re.MULTILINE)
+ROOMS = {name: level for level, row in enumerate(ROWS) for name in re.findall(r"\w+", row)}
 ALONE = "theory"  # closed forms, which know nothing of the package
-DEFERRED = {("result", "plot")}  # pictures are asked for by `save`, not when loading
+LATER = {("result", "draw")}  # a result can be saved with its pictures
+LARGEST_CLASS, LARGEST_FUNCTION, MOST_LARGE = 250, 60, 5  # lines, lines of code, functions
 
 
 def modules():
@@ -39,11 +23,12 @@ def modules():
     folder = Path(quasiform.__file__).parent
     for path in sorted(folder.rglob("*.py")):
         parts = path.relative_to(folder).with_suffix("").parts
-        if parts != ("__init__",):
+        if parts not in (("__init__",), ("__main__",)):
             yield ".".join(["quasiform", *parts]).removesuffix(".__init__"), path
 
 
 MODULES = dict(modules())
+TREES = {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in MODULES.items()}
 every_module = pytest.mark.parametrize("module", MODULES)
 
 
@@ -51,53 +36,45 @@ def room(module):
     return module.split(".")[1]
 
 
-def imported(module, *, deferred):
-    """Modules of the package that `module` imports when loaded or, with `deferred`, ever."""
-    path = MODULES[module]
-    package = module if path.name == "__init__.py" else module.rpartition(".")[0]
-    nodes, names = [ast.parse(path.read_text(encoding="utf-8"))], set()
-    while nodes:
-        node = nodes.pop()
+def imports(module):
+    """(module, name) of every import of the package, also in functions and for type checkers."""
+    package = module if MODULES[module].name == "__init__.py" else module.rpartition(".")[0]
+    for node in ast.walk(TREES[module]):
         if isinstance(node, ast.Import):
-            names.update(alias.name for alias in node.names)
+            yield from ((alias.name, "") for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             base = resolve_name("." * node.level + (node.module or ""), package)
-            names.update(f"{base}.{alias.name}" for alias in node.names)
-        elif isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
-            continue
-        elif deferred or not isinstance(node, ast.FunctionDef):
-            nodes += ast.iter_child_nodes(node)
-    names = {name if name in MODULES else name.rpartition(".")[0] for name in names}
-    return {name for name in names if name.split(".")[0] == "quasiform"}
+            for alias in node.names:
+                inner = f"{base}.{alias.name}"
+                yield (inner, "") if inner in MODULES else (base, alias.name)
+
+
+def imported(module):
+    """Modules of the package that `module` ever imports."""
+    names = {name for name, _ in imports(module) if name.split(".")[0] == "quasiform"}
+    return names - {"quasiform"} if room(module) == "console" else names  # as a user would
 
 
 @every_module
-def test_module_has_a_place_in_the_flow(module):
+def test_module_has_a_place_in_the_table_of_rooms(module):
     assert room(module) in ROOMS
 
 
 @every_module
 def test_imports_come_from_earlier_rooms(module):
-    for target in imported(module, deferred=True):
+    for target in imported(module):
         assert target in MODULES, f"{module} imports {target}"
         here, there = room(module), room(target)
-        if here != there and (here, there) not in DEFERRED:
-            assert ROOMS[there] < ROOMS[here], f"{module} imports {target}"
+        if here != there and (here, there) not in LATER:
+            assert ROOMS[there] <= ROOMS[here], f"{module} imports {target}"
 
 
 def test_closed_forms_stand_alone():
-    assert not imported(f"quasiform.{ALONE}", deferred=True)
-
-
-def test_exceptions_are_needed_and_stay_out_of_loading():
-    for here, there in DEFERRED:
-        module, target = f"quasiform.{here}", f"quasiform.{there}"
-        assert target in imported(module, deferred=True)
-        assert target not in imported(module, deferred=False)
+    assert not imported(f"quasiform.{ALONE}")
 
 
 def test_imports_run_in_no_circle():
-    waiting = {module: imported(module, deferred=False) for module in MODULES}
+    waiting = {module: imported(module) - {module} for module in MODULES}
     while waiting:
         ready = [module for module, needs in waiting.items() if not needs & waiting.keys()]
         assert ready, f"a circle among {', '.join(waiting)}"
@@ -105,13 +82,36 @@ def test_imports_run_in_no_circle():
             del waiting[module]
 
 
-def test_walk_finds_every_form_of_import():
-    def found(module):
-        return imported(f"quasiform.{module}", deferred=False)
+@every_module
+def test_private_names_stay_in_their_room(module):
+    used = {f"{base}.{name}" for base, name in imports(module) if name.startswith("_")}
+    foreign = {name for name in used if room(name) != room(module)}
+    assert not foreign
 
-    assert "quasiform.checks" in found("material")
-    assert "quasiform.scene_file" in found("forming")  # from . import scene_file
-    assert "quasiform.outline" in found("scene_file")  # from . import outline as outlines
-    assert "quasiform.energy.contact" in found("energy.friction")  # from .contact import Contact
-    assert "quasiform.energy" in found("solve.newton")  # from ..energy import Potential
-    assert "quasiform.solve" in found("cli")
+
+def lines_of_code(function):
+    """Lines of a function without its docstring."""
+    body = function.body[1:] if ast.get_docstring(function) is not None else function.body
+    return body[-1].end_lineno - body[0].lineno + 1 if body else 0
+
+
+def test_classes_and_functions_are_small():
+    classes, functions = [], []
+    for module, tree in TREES.items():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ClassDef):
+                size = node.end_lineno - node.lineno + 1
+                classes += [f"{module}.{node.name}: {size}"] * (size > LARGEST_CLASS)
+            elif isinstance(node, ast.FunctionDef):
+                size = lines_of_code(node)
+                functions += [f"{module}.{node.name}: {size}"] * (size > LARGEST_FUNCTION)
+    assert not classes
+    assert len(functions) <= MOST_LARGE, functions
+
+
+def test_walk_finds_every_form_of_import():
+    assert "quasiform.scenes.scene_file" in imported("quasiform.scenes.forming")  # from . import
+    assert "quasiform.energy.contact" in imported("quasiform.energy.friction")  # from .contact
+    assert "quasiform.energy.term" in imported("quasiform.solve.proximal")  # from ..energy.term
+    assert "quasiform.draw.plot" in imported("quasiform.result.run")  # in a function
+    assert ("quasiform.tools.shapes", "Tool") in set(imports("quasiform.scenes.forming"))

@@ -16,7 +16,7 @@ from quasiform.draw.plot import save_pictures
 from quasiform.net.blank import rotation
 from quasiform.result.files import PICTURES
 from quasiform.result.sheet import FormedSheet
-from quasiform.scenes.scene_file import load
+from quasiform.scenes.scene_file import Region, load
 
 SCENES = {
     "formed": lambda: qf.forming(size=30, travel=10),
@@ -26,7 +26,10 @@ SCENES = {
     "cantilever": lambda: qf.cantilever(100, 7e-6, width=20, size=10),
 }
 DISC = replace(
-    load("hemisphere"), outline=shapely.Point(0, 0).buffer(110.0, 64), orientation=30.0, areas={}
+    load("hemisphere"),
+    blank=Region.of(shapely.Point(0, 0).buffer(110.0, 64)),
+    orientation=30.0,
+    areas={},
 )
 
 
@@ -72,23 +75,24 @@ def test_pictures_of_the_start_alone(results, name, tmp_path):
 @pytest.mark.parametrize("name", ["formed, turned fibres", "picture frame", "cantilever"])
 def test_pictures_of_a_bare_scene(results, name, tmp_path):
     result = results[name]
-    scene = replace(result.scene, parameters={}, measures={}, areas={}, edges={}, travel=0.0)
+    scene = replace(result.model, parameters={}, measures={}, areas={}, edges={}, travel=0.0)
     states = [replace(state, travel=0.0, force=0.0, measures={}) for state in result.states]
-    pictures(replace(result, scene=scene, states=states), tmp_path)
+    pictures(replace(result, model=scene, states=states), tmp_path)
 
 
 def test_odd_parameters_are_left_alone(results, tmp_path):
     result = results["off-axis"]
     odd = {"size": "coarse", "length": None, "width": "160 mm", "angle": [45]}
-    scene = replace(result.scene, name="$5_{$", parameters=odd)
-    pictures(replace(result, scene=scene), tmp_path)
-    assert plot.off_axis_theory(replace(result, scene=scene).record) is None
+    scene = replace(result.model, name="$5_{$", parameters=odd)
+    pictures(replace(result, model=scene), tmp_path)
+    assert plot.off_axis_theory(replace(result, model=scene).record) is None
 
 
 def test_mesh_across_the_fibres(results, tmp_path):
     scene = qf.picture_frame(size=25)
-    blank = replace(scene.blank, warp=rotation(17)[0], weft=rotation(17)[1])
-    pictures(replace(results["picture frame"], scene=replace(scene, blank=blank)), tmp_path)
+    blank = replace(scene.sheet.blank, warp=rotation(17)[0], weft=rotation(17)[1])
+    model = replace(scene, sheets=[replace(scene.sheet, blank=blank)])
+    pictures(replace(results["picture frame"], model=model), tmp_path)
 
 
 def test_settings_of_matplotlib_are_left_alone(results, tmp_path):
@@ -121,7 +125,7 @@ def test_force_after_a_collapse_is_set_apart(results):
 def test_collapsed_triangles_have_their_own_colour(results):
     result = results["off-axis"]
     x = result.states[-1].x.copy()
-    middle = np.linalg.norm(result.scene.blank.nodes, axis=1).argmin()
+    middle = np.linalg.norm(result.model.sheet.blank.nodes, axis=1).argmin()
     x[2 * middle] += 60.0  # past its neighbours
     folded = with_end(result, x)
     assert 0 < plot.collapsed(folded.sheet).sum() <= 8
@@ -134,8 +138,9 @@ def test_collapsed_triangles_have_their_own_colour(results):
 def test_doubts_are_painted_by_reason(results):
     """The sheet is taken to be known up to a small angle only; each share stands in the key."""
     result = results["formed"]
-    fabric = replace(result.scene.fabric, shear_range=0.5)
-    result = replace(result, scene=replace(result.scene, fabric=fabric))
+    fabric = replace(result.model.sheet.fabric, shear_range=0.5)
+    sheet = replace(result.model.sheet, fabric=fabric)
+    result = replace(result, model=replace(result.model, sheets=[sheet]))
     doubts = result.doubts()
     assert set(plot.DOUBTS) == set(doubts)
     figure = plot.doubt_figure(result.record)
@@ -165,7 +170,7 @@ def test_off_axis_closed_form(results):
 
 def test_closed_form_ends_at_its_limit():
     scene = qf.off_axis_tension(angle=30, displacement=5, size=40)
-    result = replace(qf.solve(scene), scene=replace(scene, travel=60.0))
+    result = replace(qf.solve(scene), model=replace(scene, travel=60.0))
     u, _, _ = plot.off_axis_theory(result.record)
     assert u[-1] == pytest.approx(21.96, abs=0.05)
 

@@ -50,19 +50,19 @@ def test_what_was_saved_is_read_back(pair):
         blank = run.sheet.blank
         assert_allclose(getattr(blank, family), getattr(result.blank, family), atol=1e-9)
     assert_allclose(run.sheet.flat, result.blank.nodes, atol=1e-9)
-    assert run.in_plane == (result.scene.dim == 2)
-    assert run.has_tools == bool(result.scene.contacts)
+    assert run.in_plane == (result.model.sheet.dim == 2)
+    assert run.has_tools == bool(result.model.contacts)
     assert run.locking == pytest.approx(np.degrees(np.arcsin(0.819)))
 
 
 def test_nearest_state(pair):
     run, result = pair
     assert run.near(11.0).travel == 10.0
-    assert run.near(1e9).travel == result.scene.travel
+    assert run.near(1e9).travel == result.model.travel
 
 
 def test_level_lines_of_a_linear_function_are_straight_and_whole():
-    blank = qf.off_axis_tension(30, size=20).blank
+    blank = qf.off_axis_tension(30, size=20).sheet.blank
     x, along = blank.nodes, np.array([0.6, 0.8])
     lines = pictures.level_lines(x, blank.triangles, x @ along, [100.0])
     assert_allclose(lines @ along, 100.0)

@@ -13,10 +13,10 @@ import pytest
 
 import validation
 from tests.chromium import opened, program
-from validation import report_html
 from validation.bands import Case, Reference, Row
-from validation.report import about
-from validation.report_text import markdown, verdict
+from validation.report import about, markdown
+from validation.report import page as report_page
+from validation.report_text import verdict
 
 SUITE = Path(validation.__file__).parent
 HEADER = "name,value,tolerance,unit,standing,source,limitation,only\n"
@@ -116,26 +116,26 @@ def found(report):
 def test_failures_make_the_exit_status(report):
     ended = report[1]
     assert ended.returncode == 1, ended.stderr
-    assert "2 bands missed, 5 values missing, 6 cases failed" in ended.stdout
+    assert "2 rows failed, 5 values missing, 6 cases with errors" in ended.stdout
 
 
 def test_rows_by_state(found):
     states = {row["name"]: row["state"] for row in found["formed"]["rows"]}
     assert states == {
-        "good": "held",
-        "bad": "missed",
-        "off, and known": "limitation",
+        "good": "passed",
+        "bad": "failed",
+        "off, and known": "known limitation",
         "not returned": "missing",
-        "to be measured": "needs measured data",
-        "shown": "shown only",
-        "not a number": "missed",
+        "to be measured": "no reference yet",
+        "shown": "for information",
+        "not a number": "failed",
         "slow": "missing",
     }
 
 
 def test_no_case_is_lost_by_another(found):
     assert [*found][:-1] == [*CASES, "absent"]
-    assert found["plain"]["held"]
+    assert found["plain"]["passed"]
     assert "crashed: ValueError: too <odd>" in found["raises"]["problem"]
     assert "ended with 7" in found["dies"]["problem"]
     assert found["unasked"]["problem"] == "no reference for y"
@@ -179,37 +179,39 @@ def test_page_shows_readme_notes_and_limitation(page):
 
 def test_sheet_without_plotly_is_a_picture(report):
     picture = report[0] / "report_files" / "formed" / "sheet_1.png"
-    case = Case("formed", sheets=(("A sheet", "words", None, picture),))
-    text = report_html.page(about(quick=True, left_out=[]), [case], [])
+    case = Case("formed", sheets=(("A sheet", "text", None, picture),))
+    text = report_page(about(quick=True, not_run=[]), [case], [])
     assert 'class="formed flat"' in text
     assert "quasiform[report]" in text
     assert "Plotly.newPlot" not in text
 
 
-def test_left_out_rows_are_counted_and_folded_away():
+def test_skipped_rows_are_counted_and_folded_away():
     known = Reference("slow", 1.0, "max", "N", "own", "none", only="full")
     case = Case("formed", rows=(Row(known, None, quick=True),))
-    text = report_html.page(about(quick=True, left_out=[]), [case], [])
+    text = report_page(about(quick=True, not_run=[]), [case], [])
     assert "Rows that only the full suite computes: 1" in text
-    assert '<th class="n">left out</th>' in text
-    assert case.held
+    assert '<th class="n">skipped</th>' in text
+    assert case.passed
 
 
-@pytest.mark.parametrize(("left_out", "mostly"), [(1, False), (2, False), (3, True)])
+@pytest.mark.parametrize(("skipped", "mostly"), [(1, False), (2, False), (3, True)])
 @pytest.mark.parametrize("quick", [True, False])
-def test_a_case_that_is_mostly_left_out_has_no_tick(left_out, mostly, quick):
+def test_a_case_that_is_mostly_skipped_has_no_tick(skipped, mostly, quick):
     only = "full" if quick else "quick"
-    known = Reference("held", 1.0, "max", "N", "own", "none")
+    known = Reference("fast", 1.0, "max", "N", "own", "none")
     slow = Reference("slow", 1.0, "max", "N", "own", "none", only=only)
-    rows = 2 * (Row(known, 0.5, quick=quick),) + left_out * (Row(slow, None, quick=quick),)
-    case, this = Case("formed", rows=rows), about(quick=quick, left_out=[])
-    assert case.held
-    words = f"mostly left out by the {'quick' if quick else 'full'} suite"
-    page, text = report_html.page(this, [case], []), markdown(this, [case], [])
+    rows = 2 * (Row(known, 0.5, quick=quick),) + skipped * (Row(slow, None, quick=quick),)
+    case, this = Case("formed", rows=rows), about(quick=quick, not_run=[])
+    assert case.passed
+    words = f"mostly skipped by the {'quick' if quick else 'full'} suite"
+    page, text = report_page(this, [case], []), markdown(this, [case], [])
     assert (words in page) == (f"`formed` ({words}) |" in text) == mostly
     assert ('<span class="state">✓</span>' in page) != mostly
     assert ('<span class="mark state">✓</span>' in page) != mostly
-    told = f"Every band held in 1 case; 1 case {words}." if mostly else "Every band held in 1 case."
+    told = (
+        f"Every row passed in 1 case; 1 case {words}." if mostly else "Every row passed in 1 case."
+    )
     assert verdict([case], []) == told
 
 
@@ -233,8 +235,8 @@ def test_quick_suite_and_an_existing_report(suite):
     folder = suite.parent / "quick"
     ended = run(suite, "--quick", "--out", folder, "plain")
     assert ended.returncode == 0, ended.stdout + ended.stderr
-    assert "Every band held in 1 case." in ended.stdout
-    assert "formed" in json.loads((folder / "report.json").read_text())["left_out"]
+    assert "Every row passed in 1 case." in ended.stdout
+    assert "formed" in json.loads((folder / "report.json").read_text())["not_run"]
     again = run(suite, "--quick", "--out", folder, "plain")
     assert again.returncode == 2
     assert "holds a result already" in again.stderr

@@ -163,8 +163,9 @@ def test_trust_says_what_limits_the_numbers(strip):
     assert trust(strip) == []
     rough = replace(strip, estimate={"force_N": 0.3 * strip.force, "shear_angle_deg": 0.1})
     assert trust(rough) == ["the mesh error of force_N is 30 % of its value"]
-    fabric = replace(strip.scene.fabric, shear_range=5.0)
-    (words,) = trust(replace(strip, scene=replace(strip.scene, fabric=fabric)))
+    fabric = replace(strip.model.sheet.fabric, shear_range=5.0)
+    sheet = replace(strip.model.sheet, fabric=fabric)
+    (words,) = trust(replace(strip, model=replace(strip.model, sheets=[sheet])))
     assert words.endswith("% of the area is sheared beyond 5°, the tested range of the law")
     (words,) = trust(replace(strip, rescues={"saddle left": 1}))
     assert words == "one of many states: 1 saddle was left on the way"
@@ -187,7 +188,8 @@ def test_files_carry_their_format(strip, folder):
     assert summary["certified"] is True
     assert summary["certificate"] == {"converged": True, "reasons": []}
     assert summary["trust"] == []
-    assert summary["factorisations"] == {}
+    assert summary["factorisations"] == strip.factorisations
+    assert set(summary["factorisations"]) == {"40 mm", "80 mm"}
     run = Record.read(folder)
     assert run.summary == json.loads(json.dumps(strip.summary()))
     assert list(run.history) == list(strip.history)

@@ -15,11 +15,11 @@ import quasiform as qf
 from validation.stability import cells, draw, judge
 from validation.stability.cells import Solved
 from validation.stability.scenes import CASES, wavelength, waves
-from validation.stability.settings import DEFAULT, SETTINGS, Cell, rechecks, tells
+from validation.stability.settings import DEFAULT, SETTINGS, Cell, is_check, rechecks
 from validation.stability.settings import cells as cells_of
 
 ROOT = Path(__file__).parents[1]
-SHAKEN = SETTINGS["perturbed"]
+PERTURBED = SETTINGS["perturbed"]
 forks = pytest.mark.filterwarnings("ignore:.*multi-threaded.*:DeprecationWarning")
 
 
@@ -52,7 +52,7 @@ def test_each_scene_is_built_with_its_size_and_its_fabric(name):
         return
     scene = case.build(case.sizes[0], fabric)
     assert scene.size == case.sizes[0]
-    assert scene.resized(case.sizes[1]).size == case.sizes[1]
+    assert scene.recipe.build(case.sizes[1]).size == case.sizes[1]
     assert bool(scene.contacts) == case.contact
     assert all(contact.compaction == 400.0 for contact in scene.contacts)
     assert all(contact.tool.friction == 0.5 for contact in scene.contacts)
@@ -61,7 +61,7 @@ def test_each_scene_is_built_with_its_size_and_its_fabric(name):
 
 def test_the_specimen_is_compressed():
     coarse = CASES["oat-45-compressed"].build(20.0, qf.Fabric())
-    for scene in (coarse, coarse.resized(10.0)):
+    for scene in (coarse, coarse.recipe.build(10.0)):
         x = scene.prescribed(30.0)[0][0::2]
         assert np.unique(x[scene.fixed[0::2]]) == pytest.approx([-160.0, 130.0])
 
@@ -77,7 +77,7 @@ def test_settings_of_contact_are_for_scenes_with_contact():
 
 def test_each_setting_changes_one_thing_or_a_pair():
     for name, setting in SETTINGS.items():
-        changed = draw.words(setting).split(", ")
+        changed = draw.describe(setting).split(", ")
         # relaxation alone: on the coarse mesh, with few increments
         count = 3 if name == "relaxation" else 2 if "+" in name else 1
         assert len(changed) == count, name
@@ -88,19 +88,19 @@ def test_each_setting_changes_one_thing_or_a_pair():
 
 def test_a_check_has_the_same_problem_and_a_perturbed_start_or_a_finer_increment():
     coarse_steps, fine_steps = SETTINGS["increment-20"], SETTINGS["increment-1"]
-    assert tells(SHAKEN, DEFAULT)
-    assert tells(DEFAULT, SHAKEN)
-    assert tells(fine_steps, coarse_steps)
-    assert tells(fine_steps, DEFAULT)
-    assert not tells(coarse_steps, fine_steps)
-    assert not tells(coarse_steps, DEFAULT)
-    assert not tells(DEFAULT, DEFAULT)
-    assert not tells(SETTINGS["perturbed+fine"], DEFAULT)
+    assert is_check(PERTURBED, DEFAULT)
+    assert is_check(DEFAULT, PERTURBED)
+    assert is_check(fine_steps, coarse_steps)
+    assert is_check(fine_steps, DEFAULT)
+    assert not is_check(coarse_steps, fine_steps)
+    assert not is_check(coarse_steps, DEFAULT)
+    assert not is_check(DEFAULT, DEFAULT)
+    assert not is_check(SETTINGS["perturbed+fine"], DEFAULT)
     for setting in SETTINGS.values():
-        assert all(tells(check, setting) for check in rechecks(setting))
+        assert all(is_check(check, setting) for check in rechecks(setting))
 
 
-def test_a_certified_cell_that_none_tells_about_is_solved_again():
+def test_a_certified_cell_without_a_check_is_solved_again():
     alone = solved(SETTINGS["contact-10"])
     (first,) = judge.wanted(by_cell(alone))
     assert first.setting.perturbation
@@ -117,7 +117,7 @@ def test_a_contradiction_is_a_difference_beyond_the_error_estimate():
         other = {"shear_angle_mean_deg": 10.0 + difference}
         kept = by_cell(
             solved(estimate={"shear_angle_mean_deg": 0.2}, **known),
-            solved(SHAKEN, averages=other),
+            solved(PERTURBED, averages=other),
         )
         return judge.contradictions([kept[Cell("box-45", DEFAULT)]], kept)
 
@@ -125,7 +125,7 @@ def test_a_contradiction_is_a_difference_beyond_the_error_estimate():
     assert against(-0.19) == []
     (found,) = against(-0.21)
     assert found.difference == pytest.approx(0.21)
-    assert found.check.setting == SHAKEN
+    assert found.check.setting == PERTURBED
     assert against(0.21, certified="3 negative pivots of the tangent") == []
 
 
@@ -158,26 +158,26 @@ def test_bars():
         }
         kept = by_cell(*rows)
         against = judge.contradictions(shown.values(), kept)
-        return [b.words for b in judge.bars(shown, kept, against, minutes) if not b.holds]
+        return [b.name for b in judge.bars(shown, kept, against, minutes) if not b.met]
 
     good = [solved(setting) for name, setting in SETTINGS.items() if name.startswith("increment")]
-    good += [solved(), solved(SHAKEN)]
+    good += [solved(), solved(PERTURBED)]
     assert missed(*good) == []
     stopped = {"outcome": "stopped", "reached": 40.0, "certified": "stopped early"}
     short = solved(SETTINGS["exact"], **stopped, reason="why")
     assert missed(*good, short) == [
         "the paper's scenes reach full travel in at least 95% of the settings"  # 7 of 8
     ]
-    assert any("reason" in words for words in missed(*good, replace(short, reason="")))
+    assert any("reason" in name for name in missed(*good, replace(short, reason="")))
     assert any("at the default" in w for w in missed(*good[:-2], solved(**stopped, reason="why")))
     assert any("hangs" in w for w in missed(*good, solved(scene="arch", outcome="hang")))
     assert any("crashes" in w for w in missed(*good, solved(scene="arch", outcome="crash")))
-    assert missed(solved()) == ["every certified cell has been checked"]
-    other = solved(SHAKEN, averages={"shear_angle_mean_deg": 11.0})
-    assert any("contradicted" in words for words in missed(*good[:-1], other))
+    assert missed(solved()) == ["each certified cell has been checked"]
+    other = solved(PERTURBED, averages={"shear_angle_mean_deg": 11.0})
+    assert any("contradicted" in name for name in missed(*good[:-1], other))
     uncertified = {"certified": "energy"}
     assert missed(solved(scene="arch", reason="upper branch", **uncertified)) == [
-        "no completed cell ends in a state that it must not"
+        "no completed cell ends in a wrong state"
     ]
     assert "refused" in missed(solved(scene="without-bending", **uncertified))[-1]
     assert missed(solved(scene="without-bending", outcome="refused", **uncertified)) == []
@@ -285,7 +285,7 @@ def test_an_exception_is_a_crash_with_its_place(monkeypatch):
 def test_cells_are_kept_by_their_input(tmp_path):
     row = solved(key="1", date="2026-01-01T00:00:00+00:00", rescues={"proximal": 2})
     path = tmp_path / "cells.json"
-    cells.write(path, by_cell(row, solved(SHAKEN)))
+    cells.write(path, by_cell(row, solved(PERTURBED)))
     assert cells.read(path)[row.cell] == row
     json.loads(path.read_text())
     newer = replace(row, date="2026-01-02T00:00:00+00:00")
@@ -320,11 +320,9 @@ def test_map_of_a_small_scene(tmp_path):
     assert row.arrived
     assert row.certified == "yes"
     report = (tmp_path / "map.md").read_text()
-    assert "| and in all at the default | 0 of 0 | holds |" in report
+    assert "| and in all of them at the default | 0 of 0 | met |" in report
     assert (tmp_path / "map.png").stat().st_size > 10_000
     again = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     assert again.returncode == 0
-    assert "certified" not in again.stdout.replace("every certified", "").replace(
-        "no certified", ""
-    )
+    assert "certified" not in again.stdout.replace("each certified", "").replace("no certified", "")
     assert cells.read(tmp_path / "cells.json") == kept

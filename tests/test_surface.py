@@ -634,6 +634,11 @@ def test_the_model_warns_of_a_punch_that_looks_wrong(tmp_path, punch, expected):
     assert ("warning, punch.vtu" in words) == bool(expected)
 
 
+@pytest.mark.parametrize("x", [-101, 101])
+def test_a_punch_just_beside_the_sheet_is_taken(tmp_path, x):
+    assert f"its middle at ({x}, 0)" in described(tmp_path, f"spacing = 4.0\nplace = [{x}, 0]")
+
+
 def test_the_suggested_turn_puts_an_upside_down_punch_right(tmp_path):
     upside_down = cap()[0] * [1, -1, -1], cap()[1]
     words = described(tmp_path, "spacing = 4.0\nrotate = [10, 5, 20]", upside_down)

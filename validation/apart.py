@@ -1,8 +1,8 @@
-"""Run one case in this process, and leave what it hands over as files.
+"""Run one case in this process and write its results to files.
 
     python -m validation.apart CASE FOLDER [--quick]
 
-`validation.run` starts this for every case, so that a case that crashes takes nothing with it.
+`validation.run` starts this process for each case, so that a crash does not stop the other cases.
 """
 
 from __future__ import annotations
@@ -18,6 +18,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
+from quasiform.draw import view
+from quasiform.draw.plot import save_pictures
 from validation.run import OUTCOME, Outcome
 
 if TYPE_CHECKING:
@@ -26,37 +28,37 @@ if TYPE_CHECKING:
 DPI = 144
 
 
-def hand_over(case: str, quick: bool) -> Outcome:
-    """What a case hands over: that of its `run`, or the plain `values`."""
+def outcome(case: str, quick: bool) -> Outcome:
+    """The outcome of a case: what its `run` returns, or only `values`."""
     module = importlib.import_module(f"validation.{case}.case")
     if not hasattr(module, "run"):
         return Outcome(module.values())
-    outcome = module.run(quick)
-    if not hasattr(outcome, "values") or not hasattr(outcome, "sheets"):
-        raise TypeError(f"{inspect.getfile(module)}: run must return an Outcome, not {outcome!r}")
-    return outcome
+    returned = module.run(quick)
+    if not isinstance(returned, Outcome):
+        raise TypeError(f"{inspect.getfile(module)}: run must return an Outcome, got {returned!r}")
+    return returned
 
 
-def leave(case: str, folder: Path, quick: bool) -> None:
+def write(case: str, folder: Path, quick: bool) -> None:
     """Write `outcome.json`, the pictures and the views of the sheets to a folder."""
-    left = {"values": {}, "notes": [], "figures": [], "sheets": [], "problem": ""}
-    start, views = time.perf_counter(), 0.0
+    content = {"values": {}, "notes": [], "figures": [], "sheets": [], "problem": ""}
+    start, end = time.perf_counter(), 0.0
     try:
-        outcome = hand_over(case, quick)
-        views = time.perf_counter()
-        left["values"] = {name: _number(value) for name, value in outcome.values.items()}
-        left["notes"] = list(outcome.notes)
-        for number, (caption, figure) in enumerate(outcome.figures.items(), 1):
+        found = outcome(case, quick)
+        end = time.perf_counter()
+        content["values"] = {name: _number(value) for name, value in found.values.items()}
+        content["notes"] = list(found.notes)
+        for number, (caption, figure) in enumerate(found.figures.items(), 1):
             name = f"figure_{number}.png"
             figure.savefig(folder / name, dpi=DPI)
-            left["figures"].append((caption, name))
-        for number, (caption, result) in enumerate(outcome.sheets.items(), 1):
-            left["sheets"].append((caption, *_sheet(result, folder, f"sheet_{number}")))
-    except Exception as error:  # told in the report, which goes on with the other cases
-        left["problem"] = f"crashed: {type(error).__name__}: {error}".strip()
+            content["figures"].append((caption, name))
+        for number, (caption, result) in enumerate(found.sheets.items(), 1):
+            content["sheets"].append((caption, *_sheet(result, folder, f"sheet_{number}")))
+    except Exception as error:  # reported; the other cases still run
+        content["problem"] = f"crashed: {type(error).__name__}: {error}".strip()
         traceback.print_exc()
-    left["seconds"] = (views or time.perf_counter()) - start
-    (folder / OUTCOME).write_text(json.dumps(left), encoding="utf-8")
+    content["seconds"] = (end or time.perf_counter()) - start
+    (folder / OUTCOME).write_text(json.dumps(content), encoding="utf-8")
 
 
 def _number(value: float) -> float | str:
@@ -66,10 +68,7 @@ def _number(value: float) -> float | str:
 
 
 def _sheet(result: Result, folder: Path, name: str) -> tuple[str, str | None, str]:
-    """Words about a sheet, its interactive view (None without plotly) and its picture."""
-    from quasiform.draw import view
-    from quasiform.draw.plot import save_pictures
-
+    """Description of a sheet, file of its 3D view (None without plotly) and of its picture."""
     with TemporaryDirectory(dir=folder) as pictures:
         save_pictures(result.record, pictures)
         Path(pictures, "shear_angle.png").replace(folder / f"{name}.png")
@@ -81,4 +80,4 @@ def _sheet(result: Result, folder: Path, name: str) -> tuple[str, str | None, st
 
 
 if __name__ == "__main__":
-    leave(sys.argv[1], Path(sys.argv[2]), "--quick" in sys.argv[3:])
+    write(sys.argv[1], Path(sys.argv[2]), "--quick" in sys.argv[3:])

@@ -1,97 +1,68 @@
-"""The report in words: the verdict, and Markdown for a pull request."""
+"""Numbers, rows and results of the validation as text: for the console and for all reports."""
 
 from __future__ import annotations
 
+import sys
 from collections import Counter
-from typing import TYPE_CHECKING
 
-from .bands import AWAITED, HELD, LEFT_OUT, LIMITATION, MISSED, MISSING, SHOWN, Case, Row
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
 
-if TYPE_CHECKING:
-    from .report import About
+from .bands import FAILED, LIMITATION, MISSING, NO_REFERENCE, Case, Row
+
+WIDTH = 170  # columns of a table that does not go to a terminal
 
 
 def verdict(done: list[Case], waiting: list[str]) -> str:
-    """Say in one sentence whether everything holds."""
+    """State in one sentence whether everything passed."""
     total = sum((case.counts for case in done), Counter())
     failed = [case for case in done if case.problem]
     wrong = []
-    if bands := total[MISSED]:
-        wrong.append(_count(bands, "band") + " missed")
+    if rows := total[FAILED]:
+        wrong.append(_count(rows, "row") + " failed")
     if values := total[MISSING]:
         wrong.append(_count(values, "value") + " missing")
     if failed:
-        wrong.append(f"{_count(len(failed), 'case')} failed ({', '.join(c.name for c in failed)})")
-    parts = [", ".join(wrong) if wrong else f"every band held in {_count(len(done), 'case')}"]
+        names = ", ".join(case.name for case in failed)
+        wrong.append(f"{_count(len(failed), 'case')} with errors ({names})")
+    parts = [", ".join(wrong) if wrong else f"every row passed in {_count(len(done), 'case')}"]
     if not done:
         parts = ["no case has been run"]
     elif total[LIMITATION]:
         known = _count(total[LIMITATION], "known limitation")
-        parts.append(f"{known} inside {'its' if total[LIMITATION] == 1 else 'their'} own band")
-    if total[AWAITED]:
-        parts.append(f"{_count(total[AWAITED], 'row')} without measured data")
-    if folded := [case for case in done if mostly_left_out(case)]:
-        parts.append(f"{_count(len(folded), 'case')} {mostly_left_out(folded[0])}")
+        parts.append(f"{known} within {'its' if total[LIMITATION] == 1 else 'their'} own tolerance")
+    if total[NO_REFERENCE]:
+        parts.append(f"{_count(total[NO_REFERENCE], 'row')} without a reference yet")
+    if skipped := [case for case in done if case.mostly_skipped]:
+        parts.append(f"{_count(len(skipped), 'case')} {skipped[0].mostly_skipped}")
     if waiting:
         parts.append(f"{_count(len(waiting), 'case')} not run yet")
     sentence = "; ".join(parts)
     return sentence[0].upper() + sentence[1:] + "."
 
 
-def mostly_left_out(case: Case) -> str:
-    """Say so where a suite leaves out more than half of a case: what holds is not the case."""
-    left_out = [row for row in case.rows if row.state == LEFT_OUT]
-    if 2 * len(left_out) <= len(case.rows):
-        return ""
-    suite = "quick" if left_out[0].reference.only == "full" else "full"
-    return f"mostly left out by the {suite} suite"
-
-
-def markdown(about: About, done: list[Case], waiting: list[str]) -> str:
-    """The verdict and what is not as it should be, for a pull request."""
-    suite = "quick suite" if about.quick else "full suite"
-    lines = [
-        f"## Validation: {verdict(done, waiting)}",
-        "",
-        f"quasiform {about.versions['quasiform']}, {suite}, {about.date}, "
-        f"{about.machine['processor']}, {about.machine['cores']} cores.",
-        "",
-        "| case | rows | held | missed | limitations | no data | shown only | left out | time |",
-        "|-|-:|-:|-:|-:|-:|-:|-:|-:|",
-    ]
-    for case in done:
-        n = case.counts
-        missed = n[MISSED] + n[MISSING]
-        name = f"`{case.name}`" + (f" ({words})" if (words := mostly_left_out(case)) else "")
-        lines.append(
-            f"| {'' if case.held else '**✗** '}{name} | {len(case.rows)} | {n[HELD]} | "
-            f"{f'**{missed}**' if missed else 0} | {n[LIMITATION]} | {n[AWAITED]} | {n[SHOWN]} | "
-            f"{n[LEFT_OUT]} | {duration(case.seconds)} |"
-        )
-    lines += [f"| `{name}` | not run yet | | | | | | | |" for name in waiting]
-    if problems := [f"- **`{c.name}`: {_cell(c.problem)}**" for c in done if c.problem]:
-        lines += ["", *problems]
-    for state, title in (
-        (MISSED, "Bands missed"),
-        (MISSING, "Values missing"),
-        (LIMITATION, "Known limitations, each inside a band of its own"),
-        (AWAITED, "Measured data needed"),
-    ):
-        rows = [(case.name, row) for case in done for row in case.rows if row.state == state]
-        if not rows:
-            continue
-        lines += ["", f"### {title}", "", "| case | row | computed | reference | band | standing |"]
-        lines.append("|-|-|-:|-:|-|-|")
-        for name, row in rows:
-            known = row.reference
-            reason = f" ({_cell(known.limitation)})" if known.limitation else ""
-            lines.append(
-                f"| `{name}` | {_cell(known.name)}{reason} | {quantity(row.value, known.unit)} | "
-                f"{quantity(known.value, known.unit)} | {band(row)} | {known.standing} |"
-            )
-    if about.left_out:
-        lines += ["", f"Not part of this run: {', '.join(f'`{n}`' for n in about.left_out)}."]
-    return "\n".join(lines) + "\n"
+def print_case(case: Case) -> None:
+    """Print the rows of a case as a table."""
+    console = Console(width=None if sys.stdout.isatty() else WIDTH, highlight=False)
+    table = Table(box=SIMPLE_HEAD, title=case.name, title_justify="left", pad_edge=False)
+    for name in ("result", "quantity", "computed", "reference", "difference", "tolerance"):
+        right = name in ("computed", "reference", "difference")
+        table.add_column(name, justify="right" if right else "left", no_wrap=right)
+    table.add_column("source of the reference")
+    for row in case.rows:
+        known, value = row.reference, row.value
+        state = Text(row.state if row.passed else row.state.upper(), "" if row.passed else "red")
+        name = known.name + (f"\nknown limitation: {known.limitation}" * bool(known.limitation))
+        computed, reference = quantity(value, known.unit), quantity(known.value, known.unit)
+        off = "" if value is None else known.deviation(value)
+        source = f"{known.standing}: {known.source}"
+        table.add_row(state, *map(Text, (name, computed, reference, off, band(row), source)))
+    console.print(table)
+    if case.problem:
+        console.print(Text(f"ERROR in {case.name}: {case.problem}", "red"))
+    console.print(f"{case.name}: {duration(case.seconds)}")
 
 
 def quantity(value: float | None, unit: str) -> str:
@@ -103,7 +74,7 @@ def quantity(value: float | None, unit: str) -> str:
 
 
 def band(row: Row) -> str:
-    """The band of a row in words."""
+    """The tolerance of a row as text."""
     known = row.reference
     if known.tolerance == "report":
         return "none"
@@ -116,7 +87,7 @@ def band(row: Row) -> str:
 
 
 def duration(seconds: float) -> str:
-    """Seconds as a reader would say them."""
+    """A time, "8.1 s" or "3 min 05 s"."""
     if seconds < 99.5:
         return f"{seconds:.1f} s" if seconds < 9.95 else f"{seconds:.0f} s"
     minutes, rest = divmod(round(seconds), 60)
@@ -125,8 +96,3 @@ def duration(seconds: float) -> str:
 
 def _count(n: int, noun: str) -> str:
     return f"{n} {noun}" if n == 1 else f"{n} {noun}s"
-
-
-def _cell(text: str) -> str:
-    """Text that does not end a cell of a Markdown table."""
-    return " ".join(text.split()).replace("|", "\\|")

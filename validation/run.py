@@ -1,22 +1,21 @@
 """Run validation cases, compare their values with `reference.csv`, and write the report.
 
     python -m validation.run                     every case
-    python -m validation.run --quick             those of the quick suite
-    python -m validation.run oat_45 ...          some of them
+    python -m validation.run --quick             the cases of the quick suite
+    python -m validation.run oat_45 ...          some cases
 
-`quasiform validate` is the same. Each case is a folder with `case.py`, `reference.csv` (see
+`quasiform validate` does the same. Each case is a folder with `case.py`, `reference.csv` (see
 `bands.py`) and a README; `case.py` has a function `values()` that returns {name: value}, or
 `run(quick)` that returns an `Outcome`. `cases.csv` lists the cases in the order of the report.
-Every case runs in a process of its own, and the report is written again after each.
+Each case runs in its own process, and the report is written again after each case.
 
-Exit status: 0 every band held; 1 a band was missed, or a case, a value or a reference is missing;
+Exit status: 0 every row passed; 1 a row failed, or a case, a value or a reference is missing;
 2 wrong input; 3 interrupted.
 """
 
 from __future__ import annotations
 
 import argparse
-import csv
 import json
 import os
 import shutil
@@ -32,8 +31,10 @@ from typing import TYPE_CHECKING
 from quasiform.checks import InputError, suggestion
 from quasiform.result.files import check_folder
 
-from .bands import Case, Reference, Row, read
-from .report_text import verdict
+from . import report
+from .bands import Case, Listed, Measured, Reference, Row
+from .report_text import print_case, verdict
+from .tables import read_table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -42,23 +43,23 @@ if TYPE_CHECKING:
 
 FOLDER = Path(__file__).parent
 OUTCOME = "outcome.json"
-LIMIT_S = 3600.0  # a case that takes longer hangs
+LIMIT_S = 3600.0  # a case that takes longer is stopped
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a case hands over.
+    """What a case returns.
 
     Parameters
     ----------
     values : dict of name to number
-        To be compared with the rows of `reference.csv`, each in the unit of its row.
+        Values of the rows of `reference.csv`, each in the unit of its row.
     figures : dict of caption to Figure
-        Pictures beside the numbers.
+        Pictures for the report.
     sheets : dict of caption to Result
-        Formed sheets, shown to be turned and probed.
+        Formed sheets, shown in 3D.
     notes : list of str
-        Sentences of the run, Markdown.
+        Remarks on this run, Markdown.
     """
 
     values: dict[str, float]
@@ -67,48 +68,46 @@ class Outcome:
     notes: list[str] = field(default_factory=list)
 
 
-def listed() -> dict[str, tuple[float, float | None]]:
-    """Cases of `cases.csv`: seconds of the full case, and of the quick one where there is one."""
-    with (FOLDER / "cases.csv").open(newline="", encoding="utf-8") as file:
-        return {
-            row["case"]: (
-                float(row["seconds"]),
-                float(row["quick_seconds"]) if row["quick_seconds"] else None,
-            )
-            for row in csv.DictReader(file)
-        }
+def listed() -> dict[str, Listed]:
+    """Rows of `cases.csv` by case."""
+    return {row.case: row for row in read_table(FOLDER / "cases.csv", Listed)}
 
 
 def cases(*, quick: bool = False) -> list[str]:
     """Names of the cases in the order of `cases.csv`, then of the folders not listed there."""
     known = listed()
     if quick:
-        return [name for name, (_, seconds) in known.items() if seconds is not None]
+        return [name for name, row in known.items() if row.quick_seconds is not None]
     found = {path.parent.name for path in FOLDER.glob("*/case.py")}
     found |= {path.parent.name for path in FOLDER.glob("*/reference.csv")}
     return [*known, *sorted(found - known.keys())]
 
 
 def references(case: str) -> list[Reference]:
-    """Rows of a case's `reference.csv`, with the values that its `measured_*.csv` fill in.
+    """Rows of a case's `reference.csv`, completed with the values of its `measured_*.csv`.
 
     Raises
     ------
     ValueError
-        If a measured value belongs to no row that waits for one.
+        If a measured value belongs to no row without a value.
     """
-    rows, measured = read(FOLDER / case / "reference.csv"), dict[str, float]()
-    for path in sorted((FOLDER / case).glob("measured_*.csv")):
-        with path.open(newline="", encoding="utf-8") as file:
-            filled = [row for row in csv.DictReader(file) if row["value"].strip()]
-        measured |= {row["name"]: float(row["value"]) for row in filled}
+    rows = read_table(FOLDER / case / "reference.csv", Reference)
+    measured = {
+        row.name: row.value
+        for path in sorted((FOLDER / case).glob("measured_*.csv"))
+        for row in read_table(path, Measured)
+        if row.value is not None
+    }
     if strange := measured.keys() - {row.name for row in rows if row.value is None}:
-        raise ValueError(f"{case}: no row waits for {', '.join(sorted(strange))}")
+        raise ValueError(
+            f"{case}: measured values for {', '.join(sorted(strange))}, but reference.csv has no "
+            "row of this name without a value"
+        )
     return [replace(row, value=measured.get(row.name, row.value)) for row in rows]
 
 
 def compare(case: str, values: dict[str, float], *, quick: bool = False) -> tuple[list[Row], str]:
-    """Set the values of a case beside its references; rows, and the problem with them if any."""
+    """Compare the values of a case with its references: rows, and the problem if there is one."""
     try:
         known = references(case)
     except (OSError, ValueError) as error:
@@ -119,9 +118,9 @@ def compare(case: str, values: dict[str, float], *, quick: bool = False) -> tupl
 
 
 def evaluate(case: str, folder: Path, *, quick: bool = False) -> Case:
-    """Run a case in a process of its own; pictures and values go to a folder made for it.
+    """Run a case in its own process; pictures and values go to a folder made for it.
 
-    A case that cannot be run, or not to its end, comes back with the problem and with all its rows.
+    A case that fails is returned with the problem and with all its rows.
     """
     date = datetime.now().astimezone().isoformat(timespec="seconds")
     missing = [name for name in ("case.py", "reference.csv") if not (FOLDER / case / name).exists()]
@@ -130,18 +129,18 @@ def evaluate(case: str, folder: Path, *, quick: bool = False) -> Case:
     start = time.perf_counter()
     if "case.py" not in missing:
         folder.mkdir(parents=True, exist_ok=True)
-        ended = _run_apart(case, folder, quick)
+        message = _run_process(case, folder, quick)
         if (folder / OUTCOME).exists():
             left = json.loads((folder / OUTCOME).read_text(encoding="utf-8"))
             problem = problem or left["problem"]
         else:
-            problem = problem or ended
+            problem = problem or message
     seconds = left.get("seconds", time.perf_counter() - start)
     rows: list[Row] = []
     if "reference.csv" not in missing:
         values = {name: float(value) for name, value in left["values"].items()}
-        rows, doubt = compare(case, values, quick=quick)
-        problem = "; ".join(filter(None, [problem, doubt]))
+        rows, mistake = compare(case, values, quick=quick)
+        problem = "; ".join(filter(None, [problem, mistake]))
     return Case(
         case,
         tuple(rows),
@@ -151,47 +150,22 @@ def evaluate(case: str, folder: Path, *, quick: bool = False) -> Case:
         tuple(left["notes"]),
         tuple((caption, folder / name) for caption, name in left["figures"]),
         tuple(
-            (caption, words, folder / view if view else None, folder / picture)
-            for caption, words, view, picture in left["sheets"]
+            (caption, description, folder / view if view else None, folder / picture)
+            for caption, description, view, picture in left["sheets"]
         ),
     )
 
 
-def _run_apart(case: str, folder: Path, quick: bool) -> str:
-    """Run `validation.apart`; say how it ended if it left nothing."""
-    path = os.pathsep.join(filter(None, [str(FOLDER.parent), os.environ.get("PYTHONPATH")]))
-    command = [sys.executable, "-P", "-m", "validation.apart", case, str(folder.resolve())]
+def _run_process(case: str, folder: Path, quick: bool) -> str:
+    """Run `validation.apart`; the problem to report if it wrote nothing."""
+    command = [sys.executable, "-m", "validation.apart", case, str(folder.resolve())]
     try:
         ended = subprocess.run(
-            command + ["--quick"] * quick,
-            env=os.environ | {"PYTHONPATH": path},
-            timeout=LIMIT_S,
-            check=False,
+            command + ["--quick"] * quick, cwd=FOLDER.parent, timeout=LIMIT_S, check=False
         )
     except subprocess.TimeoutExpired:
         return f"stopped after {LIMIT_S:.0f} s"
     return f"crashed: its process ended with {ended.returncode}"
-
-
-def table(case: Case) -> str:
-    """Rows of a case as text."""
-    lines = [case.name]
-    for row in case.rows:
-        reference, value = row.reference, row.value
-        known = "" if reference.value is None else f"{reference.value:<9g}"
-        shown = "-" if value is None else f"{value:.6g}"
-        off = "" if value is None else reference.deviation(value)
-        mark = row.state if row.held else row.state.upper()
-        lines.append(
-            f"  {mark:<11} {reference.name:<44} {shown:>12} {reference.unit:<4} "
-            f"reference {known:<9} {off:>10} (band {reference.tolerance}; "
-            f"{reference.standing}: {reference.source})"
-        )
-        if reference.limitation:
-            lines.append(f"{'':14}known limitation: {reference.limitation}")
-    if case.problem:
-        lines.append(f"  PROBLEM     {case.problem}")
-    return "\n".join([*lines, f"  {case.seconds:.1f} s"])
 
 
 def validate(
@@ -208,7 +182,7 @@ def validate(
     names : list of str, optional
         Cases; all, or all of the quick suite, if not given.
     quick : bool
-        The quick suite: the cases with a short form, in that form.
+        Only the cases that have a quick form, in this form.
     out : path, optional
         Folder of the report; a new one named `validation-report` if not given.
     force : bool
@@ -217,15 +191,13 @@ def validate(
     Returns
     -------
     int
-        The exit status: 0 every band held, 1 something was missed or is missing, 3 interrupted.
+        The exit status: 0 every row passed, 1 something failed or is missing, 3 interrupted.
 
     Raises
     ------
     InputError
-        For a case that is not known, or a folder that cannot be written to.
+        For an unknown case, or a folder that cannot be written to.
     """
-    from . import report
-
     known = cases()
     for name in names or []:
         if name not in known:
@@ -233,27 +205,27 @@ def validate(
     chosen = list(dict.fromkeys(names or cases(quick=quick)))
     folder = check_folder(out or _unused("validation-report"), force=force, names=report.FILES)
     pictures = folder / report.PICTURES
-    if (folder / report.JSON).exists():  # the pictures are of the report that is replaced
+    if (folder / report.JSON).exists():  # its pictures are replaced too
         shutil.rmtree(pictures, ignore_errors=True)
     folder.mkdir(parents=True, exist_ok=True)
     print(f"writing to {folder}", flush=True)
-    times = listed()
-    expected = [times.get(name, (0.0, None))[quick] or 0.0 for name in chosen]
-    print(f"{len(chosen)} cases, some {max(1, round(sum(expected) / 60))} minutes", flush=True)
-    about = report.about(quick=quick, left_out=[name for name in known if name not in chosen])
+    times = [row for name, row in listed().items() if name in chosen]
+    expected = sum((row.quick_seconds or 0.0) if quick else row.seconds for row in times)
+    print(f"{len(chosen)} cases, about {max(1, round(expected / 60))} min", flush=True)
+    about = report.about(quick=quick, not_run=[name for name in known if name not in chosen])
     done: list[Case] = []
     report.write(folder, about, done, chosen)
     try:
         for name in chosen:
             done.append(evaluate(name, pictures / name, quick=quick))
             report.write(folder, about, done, chosen[len(done) :])
-            print(table(done[-1]), flush=True)
+            print_case(done[-1])
     except KeyboardInterrupt:
-        print(f"interrupted: the report in {folder} holds {len(done)} of {len(chosen)} cases")
+        print(f"interrupted: the report in {folder} has {len(done)} of {len(chosen)} cases")
         return 3
     print(verdict(done, []))
     print(f"report: {folder / report.HTML}")
-    return 0 if all(case.held for case in done) else 1
+    return 0 if all(case.passed for case in done) else 1
 
 
 def _unused(name: str) -> Path:

@@ -4,7 +4,7 @@
     print(comparison.table())
     comparison.save("comparison/")
 
-One file an idea: `read`, `shells` and `table` (from files), `place` (unfolded, shifted and turned),
+One file an idea: `read` and `shells` (from files), `place` (unfolded, shifted and turned),
 `mapping` (a field at another mesh's points), `differences` (rows with their bands), `comparison`,
 `picture`.
 """

@@ -171,16 +171,17 @@ class Side:
             )
         share = (travel - s[i - 1]) / (s[i] - s[i - 1])
 
-        def mixed(p: dict[str, FloatArray], q: dict[str, FloatArray]) -> dict[str, FloatArray]:
-            return {name: (1 - share) * p[name] + share * q[name] for name in p if name in q}
+        def mixed(p: FloatArray, q: FloatArray) -> FloatArray:
+            return (1 - share) * p + share * q
+
+        def fields(p: Mapping[str, FloatArray], q: Mapping[str, FloatArray]) -> dict:
+            return {name: mixed(p[name], q[name]) for name in p if name in q}
 
         sheet = replace(
             before,
-            **mixed(
-                *({"points": x.points} if x.points is not None else {} for x in (before, after))
-            ),
-            point_fields=mixed(before.point_fields, after.point_fields),
-            cell_fields=mixed(before.cell_fields, after.cell_fields),
+            points=None if before.points is None else mixed(before.points, after.points),
+            point_fields=fields(before.point_fields, after.point_fields),
+            cell_fields=fields(before.cell_fields, after.cell_fields),
             travel=travel,
         )
         return sheet, f"interpolated between {s[i - 1]:.6g} and {s[i]:.6g} mm"
@@ -393,8 +394,9 @@ def _of_inp(path: Path, reading: Reading) -> FormedSheet:
         if all(part in table for part in parts):
             columns["displacement"] = np.column_stack([table[part] for part in parts])
         asked = shells.nodes if key == "node" else shells.elements[rows]
-        order = {label: row for row, label in enumerate(table[key].astype(int).tolist())}
-        found = np.array([order.get(label, -1) for label in asked.tolist()])
+        labels = list(enumerate(table[key].astype(int).tolist()))
+        place = {label: row for row, label in reversed(labels)}  # the first of those that repeat
+        found = np.array([place.get(label, -1) for label in asked.tolist()])
         for name, column in columns.items():
             fields[key][name] = np.concatenate([column, np.full_like(column[:1], np.nan)])[found]
     made = (shells.points, triangles, fields["node"], fields["element"])

@@ -507,12 +507,12 @@ def plot(
     import csv
 
     from ..draw import pictures
-    from ..result import saved
     from ..result.files import replaced
+    from ..result.record import Record
 
     if not folders:
         raise InputError("plot: expected the folder of a result, DIR")
-    runs = [saved.read(folder) for folder in folders]
+    runs = [Record.read(folder) for folder in folders]
     if travel is not None:
         runs = [run.near(travel) for run in runs]
     rows = pictures.table(runs)
@@ -521,7 +521,7 @@ def plot(
         terminal.say(shown)
         return
     pictures.check_animation(animate)
-    name = f"{runs[0].label}-pictures" if len(runs) == 1 else "pictures"
+    name = f"{runs[0].name}-pictures" if len(runs) == 1 else "pictures"
     target = output.folder(name, pictures.FILES)
     terminal.say(f"writing to {target}")
     with replaced(target, force=output.force, names=pictures.FILES) as staging:
@@ -547,12 +547,12 @@ def view(
     import webbrowser
 
     from ..draw import view
-    from ..result import saved
+    from ..result.record import Record
 
-    run = saved.read(folder)
+    run = Record.read(folder)
     if travel is not None:
         run = run.near(travel)
-    path = output.file(output.out or _unused(_case(run.label), ".html"))
+    path = output.file(output.out or _unused(_case(run.name), ".html"))
     view.save(run, path)
     terminal.say(view.words(run), f"file: {path}")
     if open and not webbrowser.open(path.resolve().as_uri()):

@@ -156,19 +156,15 @@ def _worth(summary: Mapping[str, Any]) -> dict[str, str]:
         rows["perturbed"] += f"; scattered: {', '.join(scattered)}" if scattered else "; all robust"
     if summary["path_size_mm"]:
         rows["path"] = f"followed at size {summary['path_size_mm']:g} mm"
-    certified = summary["certified"]  # a boolean, or the reasons against it as text
-    certificate = summary.get("certificate") or {"reasons": [certified]}
-    if "converged" in certificate:
-        rows["converged"] = "yes" if certificate["converged"] else "no"
-    rows["certified"] = "yes" if certified is True else f"no: {'; '.join(certificate['reasons'])}"
-    if summary.get("trust"):
+    certificate = summary["certificate"]
+    rows["converged"] = "yes" if certificate["converged"] else "no"
+    reasons = "; ".join(certificate["reasons"])
+    rows["certified"] = "yes" if summary["certified"] else f"no: {reasons}"
+    if summary["trust"]:
         rows["trust"] = "; ".join(summary["trust"])
-    if work := summary.get("factorisations"):
-        rows["factorisations"] = ", ".join(f"{times} at {mesh}" for mesh, times in work.items())
-    rows["linear solves"] = (
-        f"{summary['linear_solves']:.0f} of the finest mesh ({summary['solver']['linear']}) "
-        f"in {summary['increments']} increments"
-    )
+    work = ", ".join(f"{times} at {mesh}" for mesh, times in summary["factorisations"].items())
+    solver, increments = summary["solver"]["linear"], summary["increments"]
+    rows["factorisations"] = f"{work} ({solver}), in {increments} increments"
     return rows
 
 

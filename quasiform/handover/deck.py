@@ -302,7 +302,7 @@ def _supports(
         )
     if model.sheet.turn:
         notices.append(
-            f"the deck is in the model's axes, turned by {model.sheet.turn:g}° from the model's"
+            f"the deck is in the model's axes, turned by {model.sheet.turn:g}° from the user's"
         )
     for axis, held in enumerate((fixed & (_of_nodes(model, travel) == 0)).T, 1):
         if held.any():

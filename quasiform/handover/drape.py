@@ -14,13 +14,12 @@ Altair Radioss 2021, Starter keyword /DRAPE; Altair OptiStruct 2021, bulk data e
 
 from __future__ import annotations
 
-from collections import namedtuple
 from pathlib import Path
 
 import numpy as np
 
 from .fibres import FAMILIES, Fibres
-from .keywords import write
+from .keywords import fill
 
 FloatArray = np.ndarray
 STEEP = np.sin(np.radians(5.0))  # a reference nearer to the normal has no projection
@@ -29,27 +28,8 @@ NO_WEIGHT = "areal weight is not in the table: it falls as the thinning does"
 GENERAL = (NOT_RUN, NO_WEIGHT)  # true of every part
 
 
-Code = namedtuple("Code", "file mark start nodes node cells cell table row")
-"""How a code writes: name of the file, mark of comments, lines, and patterns of `str.format`."""
-
-RADIOSS = Code(
-    *("drape_0000.rad", "#", ["#RADIOSS STARTER"]),
-    *(["/NODE"], "{:>10}{:>20.9g}{:>20.9g}{:>20.9g}"),
-    *(["/SH3N/1"], "{:>10}{:>10}{:>10}{:>10}"),
-    table="/DRAPE/{number}\n{family} plies of {part}",
-    row="{kind:<10}{label:>10}{thinning:>20.6f}{angle:>20.4f}",
-)
-OPTISTRUCT = Code(
-    *("drape.fem", "$", []),
-    *([], "GRID*   {:>16}                {:>16.8E}{:>16.8E}\n*       {:>16.8E}"),
-    *([], "CTRIA3  {:>8}       1{:>8}{:>8}{:>8}"),
-    table="$ {family} plies\nDRAPE   {number:>8}",
-    row="+       ELEM    {label:>8}{thinning:>8.5f}{angle:>8.2f}",
-)
-
-
-def drape(fibres: Fibres, folder: Path, code: Code, reference: FloatArray) -> tuple[str, ...]:
-    """Write the tables, with the formed mesh where that is the one handed over; notices."""
+def drape(fibres: Fibres, folder: Path, file: str, reference: FloatArray) -> tuple[str, ...]:
+    """Write drape_0000.rad or drape.fem, with the mesh where it is the formed one; notices."""
     target, known = fibres.target, fibres.known
     n = target.normals
     projected = reference - (n @ reference)[:, None] * n
@@ -70,25 +50,16 @@ def drape(fibres: Fibres, folder: Path, code: Code, reference: FloatArray) -> tu
         f"Thinning t/t0; angle in degrees from {along} projected into the element",
         *fibres.notices,
     ]
-    lines = [*code.start, *(f"{code.mark} {line}" for line in header)]
-    if fibres.own:
-        corners = target.nodes[target.corners[:, :3]]
-        lines += code.nodes
-        lines += [code.node.format(*v) for v in zip(target.nodes, *target.points.T, strict=True)]
-        lines += code.cells
-        lines += [code.cell.format(*v) for v in zip(target.elements, *corners.T, strict=True)]
-    thinning = fibres.thickness_ratio
-    for number, family in enumerate(FAMILIES, 1):
-        angle = fibres.angle(family, projected)
-        lines.append(code.table.format(number=number, family=family, part=fibres.name))
-        lines += [
-            code.row.format(
-                kind="SH3N" if target.triangular[row] else "SHELL",
-                label=target.elements[row],
-                thinning=thinning[row],
-                angle=angle[row],
-            )
-            for row in np.flatnonzero(known & ~steep)
-        ]
-    write(folder / code.file, lines)
+    corners, kept = target.nodes[target.corners[:, :3]], known & ~steep
+    columns = [v[kept] for v in (target.triangular, target.elements, fibres.thickness_ratio)]
+    angles = {family: fibres.angle(family, projected)[kept] for family in FAMILIES}
+    fill(
+        file,
+        folder / file,
+        header=header,
+        name=fibres.name,
+        nodes=list(zip(target.nodes, *target.points.T, strict=True)) if fibres.own else [],
+        cells=list(zip(target.elements, *corners.T, strict=True)) if fibres.own else [],
+        tables={k: list(zip(*columns, angle, strict=True)) for k, angle in angles.items()},
+    )
     return (*notices, NO_WEIGHT)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import csv
 from dataclasses import dataclass
 from pathlib import Path
-from xml.sax.saxutils import escape
 
 import numpy as np
 
 from ..checks import optional
+from .keywords import render
 
 FloatArray = np.ndarray
 ARROW = 0.15  # of the blank's size
@@ -65,27 +65,20 @@ def write_svg(pattern: Drawing, path: Path) -> None:
     points = np.vstack([*pattern.blank, *pattern.trim])
     margin = 0.05 * float(np.ptp(points, axis=0).max())
     low, high = points.min(0) - [margin, 2 * margin], points.max(0) + margin  # words below
-    width, height = high - low
-    out = [
-        '<?xml version="1.0" encoding="UTF-8"?>',
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:.4f}mm" height="{height:.4f}mm" '
-        f'viewBox="0 0 {width:.4f} {height:.4f}">',
-        f"<title>{escape(pattern.name)}: flat pattern</title>",
-    ]
     marks = _marks(pattern)
-    for layer, (_, colour) in LAYERS.items():
-        out.append(f'<g id="{layer}" fill="none" stroke="{colour}" stroke-width="0.25">')
-        for line in _lines(pattern, marks)[layer]:
-            shown = (line - [low[0], high[1]]) * [1.0, -1.0]
-            out.append(f'<polyline points="{" ".join(f"{x:.4f},{y:.4f}" for x, y in shown)}"/>')
-        for _, text, at, size in marks if layer == "MARKS" else ():
-            x, y = (at - [low[0], high[1]]) * [1.0, -1.0]
-            out.append(
-                f'<text x="{x:.4f}" y="{y:.4f}" font-family="sans-serif" font-size="{size:.4f}" '
-                f'fill="{colour}" stroke="none">{escape(text)}</text>'
-            )
-        out.append("</g>")
-    path.write_text("\n".join([*out, "</svg>", ""]), encoding="utf-8")
+
+    def seen(p: FloatArray) -> list[str]:
+        """Places in the view, where y points down."""
+        return [f"{x:.4f},{y:.4f}" for x, y in np.atleast_2d(p - [low[0], high[1]]) * [1.0, -1.0]]
+
+    layers = [
+        (layer, colour, [" ".join(seen(line)) for line in _lines(pattern, marks)[layer]])
+        for layer, (_, colour) in LAYERS.items()
+    ]
+    words = [(*seen(at)[0].split(","), f"{size:.4f}", text) for _, text, at, size in marks]
+    size = [f"{length:.4f}" for length in high - low]
+    text = render("pattern.svg", name=pattern.name, size=size, layers=layers, words=words)
+    path.write_text(text + "\n", encoding="utf-8")
 
 
 def write_csv(pattern: Drawing, path: Path) -> None:

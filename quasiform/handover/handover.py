@@ -114,8 +114,8 @@ def export(
         "abaqus": lambda folder: inp.abaqus(fibres, folder),
         "abaqus-pair": lambda folder: inp.abaqus(fibres, folder, pair=True),
         "calculix": lambda folder: inp.calculix(fibres, folder, axis),
-        "radioss": lambda folder: drape.drape(fibres, folder, drape.RADIOSS, direction),
-        "optistruct": lambda folder: drape.drape(fibres, folder, drape.OPTISTRUCT, direction),
+        "radioss": lambda folder: drape.drape(fibres, folder, "drape_0000.rad", direction),
+        "optistruct": lambda folder: drape.drape(fibres, folder, "drape.fem", direction),
         "csv": lambda folder: table.table(fibres, folder),
         "vtu": lambda folder: table.mesh(fibres, folder),
     }

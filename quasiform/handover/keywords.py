@@ -47,8 +47,8 @@ def comment(lines: Iterable[str]) -> str:
     return "\n".join(f"** {part}" for part in wrapped)
 
 
-def fill(template: str, path: Path, **values: Any) -> None:
-    """Write a file from a template in the folder `templates`; empty lines are left out."""
+def render(template: str, **values: Any) -> str:
+    """Fill a template of the folder `templates`."""
     import jinja2
 
     environment = jinja2.Environment(
@@ -60,13 +60,13 @@ def fill(template: str, path: Path, **values: Any) -> None:
     environment.filters |= {
         filter.__name__: filter for filter in (numbers, rows, elements, in_lines, comment)
     }
-    write(path, environment.get_template(template).render(values).splitlines())
+    return environment.get_template(template).render(values)
 
 
-def write(path: Path, lines: Iterable[str]) -> None:
-    """Write lines into a file, in ASCII."""
-    kept = (plain(line) for line in lines if line.strip())
-    path.write_text("\n".join([*kept, ""]), encoding="ascii")
+def fill(template: str, path: Path, **values: Any) -> None:
+    """Write a template in ASCII, without its empty lines."""
+    lines = (plain(line) for line in render(template, **values).splitlines() if line.strip())
+    path.write_text("\n".join([*lines, ""]), encoding="ascii")
 
 
 def write_notices(path: Path, title: str, notices: Iterable[str]) -> None:

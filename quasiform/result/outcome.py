@@ -181,15 +181,7 @@ class Outcome:
         return {"displacement": self.positions(state) - X, "contact_pressure": pressure[source]}
 
     def doubts(self, state: int = -1) -> dict[str, np.ndarray]:
-        """Triangles whose shear angle should not be trusted, by reason; bool (n_triangles,) each.
-
-        The cell field `doubt` adds 1, 2, 4, 8 for these in order.
-
-        Parameters
-        ----------
-        state : int
-            Which increment; the last one by default.
-        """
+        """Where the shear angle should not be trusted, by reason; bool (n_triangles,) each."""
         membrane, source = self.model.membrane, self.model.sheet.whole[3]
         gamma = np.abs(self.shear_angles(state))
         stability = measures.shear_stability(membrane, self.states[state].x)[source]

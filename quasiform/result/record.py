@@ -6,10 +6,9 @@ converted as they are read: there `certified` was true or a text of reasons.
 
 from __future__ import annotations
 
-import csv
 import json
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -259,14 +258,11 @@ class Record:
         folder, end = Path(folder), self.sheets[-1]
         summary = json.dumps(self.summary, indent=2, allow_nan=False, default=np.generic.item)
         (folder / "summary.json").write_text(summary + "\n", encoding="utf-8")
-        rows = zip(*self.history.values(), strict=True)
-        _write_table(folder / "history.csv", self.history, ([f"{v:.8g}" for v in r] for r in rows))
-        places = ((number, point) for number, loop in enumerate(end.outline) for point in loop)
-        _write_table(
-            folder / "outline.csv",
-            ["loop", "x_mm", "y_mm", "z_mm"],
-            ([number, *(f"{c:.6g}" for c in point)] for number, point in places),
-        )
+        columns = np.column_stack(list(self.history.values()))
+        _write_table(folder / "history.csv", self.history, columns, "%.8g")
+        loops = [np.column_stack([np.full(len(p), k), p]) for k, p in enumerate(end.outline)]
+        heading = ["loop", "x_mm", "y_mm", "z_mm"]
+        _write_table(folder / "outline.csv", heading, np.vstack(loops), "%.6g")
         collection = ET.Element("VTKFile", type="Collection", version="0.1")
         series = ET.SubElement(collection, "Collection")
         for number, travel in enumerate(self.sheets.travels if increments else ()):
@@ -374,8 +370,7 @@ def _own_sheet(path: Path, travel: float) -> FormedSheet:
         raise InputError(f"{path}: {error}") from error
 
 
-def _write_table(path: Path, heading: Any, rows: Any) -> None:
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(heading)
-        writer.writerows(rows)
+def _write_table(path: Path, heading: Iterable[str], rows: FloatArray, form: str) -> None:
+    """Write a CSV file with the line ends of RFC 4180."""
+    look = {"delimiter": ",", "newline": "\r\n", "comments": "", "encoding": "utf-8"}
+    np.savetxt(path, rows, fmt=form, header=",".join(heading), **look)

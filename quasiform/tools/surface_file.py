@@ -179,7 +179,7 @@ def _whole_stl(content: bytes) -> bytes:
         if content and b"facet" not in lower:
             raise InputError("not a readable .stl file: could not find a facet")
         return content
-    there = max(len(content) - 84, 0) // 50
+    there = len(content[84:]) // 50
     count = int.from_bytes(content[80:84], "little") or there
     if there < count:
         raise InputError(

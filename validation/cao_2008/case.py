@@ -18,7 +18,7 @@ FORCE_TEST = theory.OffAxisTension(230.0, 115.0, np.pi / 4)
 ANGLE_TEST = theory.OffAxisTension(450.0, 150.0, np.pi / 4)
 FORCES = np.loadtxt(FOLDER / "bias_extension.csv", delimiter=",", skiprows=1)
 ANGLES = np.loadtxt(FOLDER / "centre_angle.csv", delimiter=",", skiprows=1)
-SLIP = 30.0  # mm and degrees: what the authors trust, beyond it rovings slip
+SLIP = 30.0  # mm and degrees: the authors use data up to here; beyond, rovings slip
 
 
 def run(quick: bool) -> Outcome:
@@ -51,15 +51,15 @@ def run(quick: bool) -> Outcome:
     end = qf.solve(scene, estimate=False)
     bound = ANGLE_TEST.energy(at, fabric.shear.energy, THICKNESS)
     stored = end.model.membrane.energy(end.states[-1].x).sum()
-    found[f"energy over that of the uniform bands u={at:g}"] = stored / bound
+    found[f"energy divided by that of the uniform bands u={at:g}"] = stored / bound
     figure = _figure(curves, u, gamma)
     return Outcome(
         found,
         {"Measured by Cao et al. (2008), and predicted from their picture frame": figure},
         notes=[
             "Nothing is fitted to the bias extension: the law comes from the picture frame alone.",
-            "In the long strip the centre of the elements turns less than the kinematic angle, as "
-            "that of the test does: uniform bands are not its state of least energy.",
+            "In the long strip the shear angle in the centre is smaller than the kinematic angle, "
+            "in the elements as in the test: uniform bands are not the state of least energy.",
         ],
     )
 

@@ -2,7 +2,7 @@
 
 A net of inextensible fibres X(u, v) on a surface with normal n obeys X_uv = -(X_u·H·X_v) n, where H
 is the second derivative of the signed distance; the shear angle obeys γ_uv = K cos γ with Gauss's
-curvature K. Two given fibres that cross determine the rest, whatever the shear law.
+curvature K. Two given crossing fibres determine the rest, for any shear law.
 """
 
 from dataclasses import dataclass
@@ -18,16 +18,16 @@ from quasiform.draw.plot import STYLE, WIDTH
 from quasiform.energy.bending import Bending
 from quasiform.energy.membrane import Membrane
 from quasiform.tools.shapes import Placed, Shape, ball
-from quasiform.unknowns import Unknowns
+from quasiform.unknowns import Sheet, Unknowns
 from validation.run import Outcome
 
 SIZES = (8.0, 4.0, 2.0)
 ROD = 0.5  # mm, of the exact net
 STIFFNESS = 100.0  # N/mm³, with which the sheet is bound to a surface
 STRETCH = 1.05  # of all fibres at the start
-# The shear of an inextensible net ends in concentrated forces along its free edges, which fibres of
-# finite stiffness spread by stretching. The net does not depend on the shear law: a weak one and
-# stiff fibres keep this out of the errors.
+# An inextensible net has concentrated forces along its free edges; fibres of finite stiffness
+# stretch there. The net does not depend on the shear law, so a weak law and stiff fibres keep this
+# effect out of the errors.
 FABRIC = qf.Fabric(
     name="nearly inextensible",
     shear=qf.ThreeStageLaw(C_ini=0.00334),
@@ -104,9 +104,9 @@ class Bound(qf.Term):
 
     name = "bound to a surface"
 
-    def __init__(self, blank: qf.Blank, shape: Shape) -> None:
-        self.dofs = np.arange(3 * len(blank.nodes)).reshape(-1, 3)
-        self.shape, self.k = shape, STIFFNESS * blank.node_areas
+    def __init__(self, sheet: Sheet, shape: Shape) -> None:
+        self.dofs = sheet.dofs
+        self.shape, self.k = shape, STIFFNESS * sheet.blank.node_areas
 
     def energy(self, x: np.ndarray, state: None = None) -> np.ndarray:
         return 0.5 * self.k * self.shape.distance(x[self.dofs])[0] ** 2
@@ -126,7 +126,7 @@ def run(quick: bool) -> Outcome:
     found, errors = {}, {}
     worst, errors["plane"], largest = _planar()
     found["plane: largest error"] = worst
-    found["plane: order"] = _order(errors["plane"])
+    found["plane: order of convergence"] = _order(errors["plane"])
     found["plane: largest shear"] = largest
     for name, (shape, half) in SURFACES.items():
         node = _net_of_rods(shape, STRETCH * half)
@@ -135,7 +135,7 @@ def run(quick: bool) -> Outcome:
             a = np.linspace(0.0, half, 30)
             ode = np.degrees(theory.hemisphere_net(a[:, None], a, 75.0))
             off = np.abs(net((a[:, None], a)) - ode).max()
-            found["net of rods against the equation on the sphere"] = off
+            found["net of rods: largest deviation from the equation on the sphere"] = off
         worst, rms = [], []
         for size in SIZES:
             at, gamma = _draped(shape, half, size, node)
@@ -148,7 +148,7 @@ def run(quick: bool) -> Outcome:
             rms.append(np.sqrt(np.mean(off**2)))
         found[f"{name}: largest error"] = worst[-1]
         errors[name] = rms
-        found[f"{name}: order"] = _order(rms)
+        found[f"{name}: order of convergence"] = _order(rms)
         found[f"{name}: largest shear"] = np.abs(exact).max()
     return Outcome(found, {"Error of the shear angle over the size of the mesh": _figure(errors)})
 
@@ -211,7 +211,7 @@ def _shear(node: np.ndarray) -> RegularGridInterpolator:
 def _meet(
     shape: Shape, x: np.ndarray, one: np.ndarray, other: np.ndarray, plane: bool = False
 ) -> np.ndarray:
-    """(m, 3) points on a surface, a rod away from (m, 3) points one and other, from a guess x.
+    """(m, 3) points on a surface, a rod away from points `one` and `other`, from a guess x.
 
     With `plane`, the points lie in the plane across `other`.
     """
@@ -228,11 +228,10 @@ def _meet(
 def _draped(
     shape: Shape, half: float, size: float, node: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Middles of the cells of a quarter of the sheet (mm), and their shear angle (degrees).
+    """Centres of the cells of a quarter of the sheet (mm), and their shear angle (degrees).
 
-    The start is the net with all fibres too long.
+    At the start all fibres are too long.
     """
-    fabric = FABRIC
     blank = qf.rectangle(2 * half, 2 * half, size, mirror=("x", "y"))
     lengths = ROD * np.arange(len(node))
     net = RegularGridInterpolator((lengths, lengths), node, "cubic")
@@ -240,12 +239,12 @@ def _draped(
     x0[:, :2][np.abs(blank.nodes) < 1e-9] = 0.0
     fixed = np.zeros_like(x0, dtype=bool)
     fixed[:, :2] = np.abs(blank.nodes) < 1e-9
-    sheet = (unknowns := Unknowns()).sheet(blank, fabric, dim=3)
+    sheet = (unknowns := Unknowns()).sheet(blank, FABRIC, dim=3)
     scene = qf.Model(
         name="net",
         unknowns=unknowns,
         sheets=[sheet],
-        terms=[Membrane(sheet), Bending(sheet), Bound(blank, shape)],
+        terms=[Membrane(sheet), Bending(sheet), Bound(sheet, shape)],
         x0=x0.ravel(),
         fixed=fixed.ravel(),
         drive=np.zeros(x0.size),
@@ -261,10 +260,10 @@ def _draped(
 
 
 def _by_cell(blank: qf.Blank, gamma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Middles of the cells and the mean of their two triangles (rad to degrees).
+    """Centres of the cells and the mean of their two triangles (rad to degrees).
 
-    The legs of a triangle see the fibres at their middles, and so the shear at the middle of the
-    hypotenuse, that of the cell, to second order.
+    The legs of a triangle give the fibre directions at their middles, and so the shear at the
+    middle of the hypotenuse, the centre of the cell, to second order.
     """
     corners = blank.nodes[blank.triangles]
     middle = 0.5 * (corners.min(1) + corners.max(1))
@@ -278,7 +277,7 @@ def _planar() -> tuple[float, list[float], float]:
 
     Returns the largest error at the finest size, the errors of all, and the largest angle, degrees.
     """
-    side, fabric = 100.0, FABRIC
+    side = 100.0
     t = np.linspace(-side / 2, side / 2, 4001)
 
     def turns(t: np.ndarray, scale: float) -> tuple[np.ndarray, np.ndarray]:
@@ -300,7 +299,7 @@ def _planar() -> tuple[float, list[float], float]:
             ahead, behind = positions(X, s + 1e-4), positions(X, s - 1e-4)
             return positions(X, s), (ahead - behind) / 2e-4
 
-        sheet = (unknowns := Unknowns()).sheet(blank, fabric, dim=2)
+        sheet = (unknowns := Unknowns()).sheet(blank, FABRIC, dim=2)
         scene = qf.Model(
             name="planar net",
             unknowns=unknowns,

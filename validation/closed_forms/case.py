@@ -1,4 +1,4 @@
-"""Closed forms and ordinary differential equations against the numbers printed for them."""
+"""Closed forms and ordinary differential equations compared with published numbers."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ LENGTH, WIDTH = 320.0, 160.0
 
 
 def values() -> dict[str, float]:
-    """What `quasiform.theory` and the shear laws give for every printed number."""
+    """Values of `quasiform.theory` and the shear laws for each published number."""
     return (
         _laws() | _tension_at_45() | _tension_at_30() | _elasticae() | _hemisphere() | _friction()
     )
@@ -33,25 +33,27 @@ def _laws() -> dict[str, float]:
 def _tension_at_45() -> dict[str, float]:
     strip, found = theory.OffAxisTension(LENGTH, WIDTH, np.pi / 4), {}
     for u in (10, 20, 30, 40, 50, 55, 58):
-        found[f"oat 45: angle u={u}"] = float(np.degrees(strip.angles(u)[0]))
+        found[f"off-axis tension 45 deg: shear angle u={u}"] = float(np.degrees(strip.angles(u)[0]))
         for law in LAWS:
-            found[f"oat 45: force {law} u={u}"] = _force(strip, law, u)
-    found["oat 45: limit"] = float(strip.displacement_limit)
+            found[f"off-axis tension 45 deg: force {law} u={u}"] = _force(strip, law, u)
+    found["off-axis tension 45 deg: largest displacement"] = float(strip.displacement_limit)
     return found
 
 
 def _tension_at_30() -> dict[str, float]:
     strip, found = theory.OffAxisTension(LENGTH, WIDTH, np.pi / 6), {}
     for u in (2, 5, 10, 12, 15):
-        for name, angle in zip(("angle", "phi_a", "phi_b"), strip.angles(u), strict=True):
-            found[f"oat 30: {name} u={u}"] = float(np.degrees(angle))
-        found[f"oat 30: force best-fit u={u}"] = _force(strip, "best-fit", u)
-    found["oat 30: force locking u=15"] = _force(strip, "locking", 15)
-    found["oat 30: limit"] = float(strip.displacement_limit)
+        for name, angle in zip(
+            ("shear angle", "shear angle phi_a", "shear angle phi_b"), strip.angles(u), strict=True
+        ):
+            found[f"off-axis tension 30 deg: {name} u={u}"] = float(np.degrees(angle))
+        found[f"off-axis tension 30 deg: force best-fit u={u}"] = _force(strip, "best-fit", u)
+    found["off-axis tension 30 deg: force locking u=15"] = _force(strip, "locking", 15)
+    found["off-axis tension 30 deg: largest displacement"] = float(strip.displacement_limit)
     for name, area in zip(
         ("full", "phi_a only", "phi_b only", "rigid"), strip.zone_areas, strict=True
     ):
-        found[f"oat 30: area {name}"] = float(area)
+        found[f"off-axis tension 30 deg: area {name}"] = float(area)
     return found
 
 

@@ -3,10 +3,10 @@
     M a = -dE/dx - α M v,      central differences with the step 0.7 · 2/ω_max
 
 M is lumped: areal weight times tributary area (times a mass scaling), and the real mass of a tool
-that rests by its weight. ω_max is the highest frequency of the flat sheet with all of it in touch;
-it rises with the shear, at 45° to (1 + sin γ)^½ of it. The energy E is the scene's own; the anchors
-of friction move in every step. The punch follows 10 τ³ - 15 τ⁴ + 6 τ⁵ over the motion and then
-holds. No equation is solved.
+that rests by its weight. ω_max is the highest frequency of the flat sheet, all in contact; it
+rises with the shear, at 45° to (1 + sin γ)^½ of it. The energy E is the scene's own; the anchors of
+friction move in every step. The punch follows 10 τ³ - 15 τ⁴ + 6 τ⁵ over the motion and then
+stops. No equation is solved.
 
 Mass is in tonnes (N s²/mm), time in seconds.
 """
@@ -66,7 +66,7 @@ class Explicit:
     processor_s: float
 
     def save(self, folder: Path) -> None:
-        """Write `result.vtu` and `history.csv`: what any other code could write too."""
+        """Write `result.vtu` and `history.csv`: as another code could write them."""
         scene = self.scene
         blank, source, _, triangle, sign = scene.sheet.whole
         X = np.pad(blank.nodes, ((0, 0), (0, 1)))
@@ -89,7 +89,7 @@ def integrate(scene: Model, motion: Motion) -> Explicit:
     """Integrate a scene in time from its start, at rest.
 
     The force of a row is the mean over the last millimetre of travel, at the end that over the
-    second half of the hold: single values of an explicit run ring.
+    second half of the hold: single values of an explicit run oscillate.
     """
     clock, processor = time.perf_counter(), time.process_time()
     free = ~scene.fixed
@@ -130,7 +130,7 @@ def integrate(scene: Model, motion: Motion) -> Explicit:
 
 
 def _masses(scene: Model, scaling: float) -> FloatArray:
-    """(n_dofs,) lumped masses, t; ones on what is prescribed."""
+    """(n_dofs,) lumped masses, t; ones on prescribed dofs."""
     m = np.ones(len(scene.x0))
     sheet = scene.sheet
     areas = 1e-12 * sheet.fabric.areal_weight * scaling * sheet.blank.node_areas
@@ -142,9 +142,9 @@ def _masses(scene: Model, scaling: float) -> FloatArray:
 
 
 def _highest(scene: Model, potential: Potential, memory: Memory, m: FloatArray) -> float:
-    """Highest frequency, 1/s, of the start with every point of the sheet in touch with all tools.
+    """Highest frequency, 1/s, of the start with each point of the sheet in contact with all tools.
 
-    The contacts count by the row sums of their stiffness.
+    The contacts are included by the row sums of their stiffness.
     """
     values, _ = potential.hessian(scene.x0, memory, convex=True)
     upper = csr_array((values, potential.pattern.indices, potential.pattern.indptr))
@@ -160,4 +160,4 @@ def _highest(scene: Model, potential: Potential, memory: Memory, m: FloatArray) 
 def _internal(scene: Model, x: FloatArray) -> float:
     """Strain energy of the sheet and of its contacts, mJ."""
     stored = [t for t in scene.terms if not isinstance(t, Friction | ToolWeight)]
-    return float(sum(term.energy(x).sum() for term in stored)) / scene.share
+    return float(sum(term.energy(x, None).sum() for term in stored)) / scene.share

@@ -1,4 +1,4 @@
-"""Off-axis tension on meshes that do not follow the fibres, against theory; scatter over meshes."""
+"""Off-axis tension on meshes that do not follow the fibres, compared with theory."""
 
 import numpy as np
 
@@ -16,7 +16,7 @@ def values() -> dict[str, float]:
     found = {}
     for angle, sizes, displacements, increment in TESTS:
         for size in sizes:
-            # meshes of slightly different size are different meshes
+            # slightly different sizes give different meshes
             worst, counts = [], []
             for factor in (1.0, 0.985, 0.97, 1.015, 1.03):
                 scene = qf.off_axis_tension(
@@ -33,6 +33,6 @@ def values() -> dict[str, float]:
                 counts.append(len(scene.sheet.blank.triangles))
             case = f"{angle} deg, {round(counts[0], -3)} triangles"
             found[f"{case}: largest deviation"] = worst[0]
-            found[f"{case}: largest of five meshes"] = max(worst)
-            found[f"{case}: smallest of five meshes"] = min(worst)
+            found[f"{case}: largest deviation of five meshes"] = max(worst)
+            found[f"{case}: smallest deviation of five meshes"] = min(worst)
     return found

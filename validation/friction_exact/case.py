@@ -1,4 +1,4 @@
-"""A strip over a drum and a strip between plates against Coulomb's closed forms."""
+"""A strip over a drum and a strip between plates compared with Coulomb's closed forms."""
 
 import numpy as np
 
@@ -16,27 +16,27 @@ LOAD, RADIUS, LEAD, WIDTH = 20.0, 50.0, 25.0, 10.0  # N, mm
 
 
 def values() -> dict[str, float]:
-    """Pulls over dead loads, forces over Coulomb's, and what both spend on sliding."""
+    """Pulls divided by dead loads, forces divided by Coulomb's, and energy balances."""
     found = {}
     for wrap, friction in ((90, 0.0), (90, 0.157), (90, 0.3), (45, 0.157), (180, 0.157)):
         run = qf.solve(capstan(friction, float(wrap), size=2.5), estimate=False)
         exact = theory.capstan_ratio(friction, np.radians(wrap))
-        found[f"capstan {wrap} deg, mu={friction:g}: pull over e^(mu phi)"] = (
+        found[f"capstan {wrap} deg, mu={friction:g}: pull / load / e^(mu phi)"] = (
             run.force / LOAD / exact
         )
     run = qf.solve(capstan(0.157, 90.0, size=5.0), estimate=False)
     exact = theory.capstan_ratio(0.157, np.pi / 2)
-    found["capstan 90 deg, mu=0.157, size 5: pull over e^(mu phi)"] = run.force / LOAD / exact
+    found["capstan 90 deg, mu=0.157, size 5: pull / load / e^(mu phi)"] = run.force / LOAD / exact
     for mass, friction in ((5.0, 0.157), (20.0, 0.157), (5.0, 0.4)):
         run = qf.solve(strip(mass, friction, 2.0), estimate=False)
         limit = theory.strip_friction(friction, mass)
-        found[f"strip {mass:g} kg, mu={friction:g}: force over 2 mu m g"] = run.force / limit
+        found[f"strip {mass:g} kg, mu={friction:g}: force / (2 mu m g)"] = run.force / limit
         found[f"strip {mass:g} kg, mu={friction:g}: energy balance"] = run.energy_balance
-    # far below the reach of the elastic stick: the strip is held and does not creep
+    # far below the length of elastic sticking: the strip sticks and does not creep
     run = qf.solve(strip(5.0, 0.157, 2e-4), increment=2e-5, estimate=False)
     force = run.history["force_N"]
-    found["strip that sticks: force over 2 mu m g"] = run.force / theory.strip_friction(0.157, 5.0)
-    found["strip that sticks: force not in proportion to the pull"] = float(
+    found["strip that sticks: force / (2 mu m g)"] = run.force / theory.strip_friction(0.157, 5.0)
+    found["strip that sticks: largest deviation from proportionality"] = float(
         np.abs(np.diff(force) / force[1] - 1).max()
     )
     return found

@@ -1,4 +1,4 @@
-"""Shear on the hemisphere against the exact inextensible net, in material coordinates."""
+"""Shear on the hemisphere compared with the exact inextensible net, in material coordinates."""
 
 import numpy as np
 
@@ -8,15 +8,15 @@ from quasiform import theory
 
 def values() -> dict[str, float]:
     """Largest deviation on the bias line, colatitude to 60 degrees, at two sizes."""
-    return {f"bias line, size {size}": _deviation(size) for size in (10, 5)}
+    return {f"largest error on the bias line, size {size}": _deviation(size) for size in (10, 5)}
 
 
 def _deviation(size: float) -> float:
     result = qf.solve(qf.forming("hemisphere", size=size), estimate=False)
     scene, blank = result.model, result.model.sheet.blank
     x = result.states[-1].x
-    # the legs of a triangle see the fibres at their middles, and so the shear at the middle of
-    # the hypotenuse to second order
+    # the legs of a triangle give the fibre directions at their middles, and so the shear at the
+    # middle of the hypotenuse to second order
     corners = blank.nodes[blank.triangles]
     edges = np.linalg.norm(np.roll(corners, -1, axis=1) - np.roll(corners, 1, axis=1), axis=2)
     n, k = np.arange(len(edges)), edges.argmax(1)

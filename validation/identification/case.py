@@ -1,4 +1,4 @@
-"""Identification of known laws from made-up forces with 1 % noise, over 20 seeds."""
+"""Identification of known laws from generated forces with 1 % noise, over 20 seeds."""
 
 import time
 
@@ -10,7 +10,7 @@ from quasiform.identification.records import Curve
 from quasiform.identification.specimen import OffAxis
 
 ROWS, SEEDS, NOISE = 300, 20, 0.01
-FINE = 5.0  # cell edge of the finite-element test that makes the forces at 30°, mm
+FINE = 5.0  # cell edge of the finite-element test that gives the forces at 30°, mm
 
 
 def values() -> dict[str, float]:
@@ -23,7 +23,7 @@ def values() -> dict[str, float]:
         u, force = _by_balance(strip, fabric, gamma)
         for name, method in (("energy method", "table"), ("six parameters", "fit")):
             errors = _errors(strip, fabric, u, force, method, np.degrees(gamma[-1]))
-            found[f"{name}, {law}, noise: seeds within the bar"] = 100 * np.mean(
+            found[f"{name}, {law}, noise: seeds within the limit"] = 100 * np.mean(
                 errors <= (3.0 if method == "table" else 2.0)
             )
             found[f"{name}, {law}, noise: largest error"] = errors.max()
@@ -43,8 +43,8 @@ def _by_balance(strip: OffAxis, fabric: qf.Fabric, gamma: np.ndarray) -> tuple:
 def _identified(
     strip: OffAxis, fabric: qf.Fabric, u: np.ndarray, force: np.ndarray, noise: float, method: str
 ) -> qf.Identification:
-    test = ShearTest("made up", strip, Curve(force, u, None, noise * force))
-    return qf.identify(Campaign("made up", fabric, (test,), method=method, standing="made up"))
+    test = ShearTest("generated", strip, Curve(force, u, None, noise * force))
+    return qf.identify(Campaign("generated", fabric, (test,), method=method, standing="generated"))
 
 
 def _error(found: qf.Identification, fabric: qf.Fabric, top: float) -> float:
@@ -65,12 +65,12 @@ def _errors(
 
 
 def _inverse(law: str, fabric: qf.Fabric) -> dict[str, float]:
-    """From the forces at 30° alone, to u = 18 mm, made by elements."""
+    """From the forces of elements at 30° alone, to u = 18 mm."""
     strip, found = OffAxis(angle=30.0), {}
     top = strip.net.angles(18.0)[0]
     gamma = np.radians(np.linspace(2.0, np.degrees(top), ROWS))
     u, balance = _by_balance(strip, fabric, gamma)
-    for mesh, size in (("its own mesh", 14.0), ("a finer mesh", FINE)):
+    for mesh, size in (("data from the same mesh", 14.0), ("data from a finer mesh", FINE)):
         scene = qf.off_axis_tension(30.0, fabric, displacement=18.0, size=size)
         history = qf.solve(scene, increment=0.3, estimate=False, tolerance=1e-5).history
         at, force = history["displacement_mm"][1:], history["force_N"][1:]
@@ -82,24 +82,24 @@ def _inverse(law: str, fabric: qf.Fabric) -> dict[str, float]:
         found[f"inverse, {law}, {mesh}, no noise"] = _error(clean, fabric, gamma[-1])
         if size == FINE:
             continue
-        found[f"inverse, {law}: seconds"] = seconds
+        found[f"inverse, {law}: time"] = seconds
         errors = _errors(strip, fabric, u, forces, "inverse", np.degrees(top))
-        found[f"inverse, {law}, noise: seeds within the bar"] = 100 * np.mean(errors <= 3.0)
+        found[f"inverse, {law}, noise: seeds within the limit"] = 100 * np.mean(errors <= 3.0)
         found[f"inverse, {law}, noise: largest error"] = errors.max()
     return found
 
 
 def _as_printed() -> dict[str, float]:
-    """What the coefficient printed in Eq. 10 makes of S12, in per cent."""
+    """Change of S12 by the coefficient printed in Eq. 10, in per cent."""
     fabric, strip = qf.Fabric.preset("best-fit"), OffAxis()
     gamma = np.radians(np.linspace(0.5, 57.5, ROWS))
     u, force = _by_balance(strip, fabric, gamma)
-    test = ShearTest("made up", strip, Curve(force, u, None, 1e-6 * force))
-    curve = qf.identify(Campaign("made up", fabric, (test,), method="as-printed")).curve
+    test = ShearTest("generated", strip, Curve(force, u, None, 1e-6 * force))
+    curve = qf.identify(Campaign("generated", fabric, (test,), method="as-printed")).curve
     found = {}
     for angle in (2, 10, 20, 40, 57):
         I6 = np.sin(np.radians([float(angle)]))
-        found[f"as printed, {angle}°"] = float(
+        found[f"change of S12 by Eq. 10 as printed, {angle}°"] = float(
             100 * (curve.stress(I6) / fabric.shear.stress(I6) - 1)[0]
         )
     return found

@@ -1,4 +1,4 @@
-"""Moment over curvature of the model against a measured fabric whose bending softens."""
+"""Moment over curvature of the model compared with a measured fabric whose bending softens."""
 
 from pathlib import Path
 
@@ -19,7 +19,7 @@ LENGTH, STRIP, SIZE = 60.0, 20.0, 2.5
 
 
 def run(quick: bool) -> Outcome:
-    """Moments per width at the measured curvatures, and how far they are off."""
+    """Moments per width at the measured curvatures, and their deviations."""
     found = {}
     curvature, moment = _bent(1e-3 * float(MEASURED[-1, 0]))
     for kappa, measured in MEASURED:
@@ -44,7 +44,7 @@ def run(quick: bool) -> Outcome:
 
 
 def _bent(most: float) -> tuple[np.ndarray, np.ndarray]:
-    """Curvature (1/m) and moment per width (N) of a strip whose ends turn against each other.
+    """Curvature (1/m) and moment per width (N) of a strip whose ends rotate against each other.
 
     The nodes of the first and last segments follow a regular polygon of chords h and turns κ h;
     with κ as the travel the driving force is the moment times width and bent length.
@@ -54,7 +54,7 @@ def _bent(most: float) -> tuple[np.ndarray, np.ndarray]:
     n = len(blank.nodes)
     segments = round(LENGTH / SIZE)
     column = np.rint((blank.nodes[:, 0] + LENGTH / 2) / SIZE).astype(int)
-    held = (column <= 1) | (column >= segments - 1)
+    driven = (column <= 1) | (column >= segments - 1)
 
     def place(kappa: float) -> np.ndarray:
         turn = kappa * SIZE * (np.arange(segments) - (segments - 1) / 2)
@@ -73,7 +73,7 @@ def _bent(most: float) -> tuple[np.ndarray, np.ndarray]:
         sheets=[sheet],
         terms=[Membrane(sheet), Bending(sheet)],
         x0=np.column_stack([blank.nodes, np.zeros(n)]).ravel(),
-        fixed=np.repeat(held, 3),
+        fixed=np.repeat(driven, 3),
         drive=drive,
         travel=most,
         increment=most / 40,

@@ -18,16 +18,18 @@ def values() -> dict[str, float]:
         found[f"force u={u}"] = state.force
         bound = ideal.energy(state.travel, fabric.shear.energy, fabric.thickness)
         stored = result.model.membrane.energy(state.x).sum()
-        found[f"energy / admissible field's u={u}"] = stored / bound
+        found[f"energy divided by that of the uniform bands u={u}"] = stored / bound
 
     for law in ("best-fit", "locking"):
         result = qf.solve(qf.off_axis_tension(30, law), increment=1.0, estimate=False)
-        found[f"reached, {law}"] = result.states[-1].travel
-        found[f"first triangle beyond 85, {law}"] = result.collapse["travel_mm"]
+        found[f"displacement reached, {law}"] = result.states[-1].travel
+        found[f"displacement of the first triangle beyond 85 deg, {law}"] = result.collapse[
+            "travel_mm"
+        ]
         centre = result.history["shear_angle_center_deg"]
         found[f"largest centre angle, {law}"] = np.abs(centre).max()
         at = np.abs(centre).argmax()
         found[f"displacement of the largest centre angle, {law}"] = result.states[at].travel
         finite = [np.isfinite(values).all() for values in result.cell_fields().values()]
-        found[f"fields finite, {law}"] = float(all(finite))
+        found[f"all fields finite (1: yes), {law}"] = float(all(finite))
     return found

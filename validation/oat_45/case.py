@@ -1,4 +1,4 @@
-"""Off-axis tension test at 45 degrees against other codes and against the power balance."""
+"""Off-axis tension test at 45 degrees compared with other codes and the power balance."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from quasiform.scenes.fabric_tests import off_axis_zones
 
 
 def values() -> dict[str, float]:
-    """Forces at the peers' displacements, and the largest deviations from theory to u = 45 mm."""
+    """Forces at five displacements, and the largest deviations from theory to u = 45 mm."""
     found = {}
     linear = qf.Fabric(name="linear shear", shear=qf.ThreeStageLaw(C_ini=0.334))
     for name, law in (("locking", "locking"), ("linear", linear)):
@@ -35,7 +35,9 @@ def values() -> dict[str, float]:
             for zone in ("warp free", "weft free"):
                 weight = np.where(zones[zone], result.blank.areas, 0.0)
                 side.append(weight @ result.shear_angles(i) / weight.sum() - phi_a)
-        found[f"centre angle against theory, {law}"] = np.abs(angle).max()
-        found[f"force against theory, {law}"] = np.abs(force).max()
-        found[f"side zones against half the angle, {law}"] = np.abs(side).max()
+        found[f"largest deviation of the centre angle from theory, {law}"] = np.abs(angle).max()
+        found[f"largest deviation of the force from theory, {law}"] = np.abs(force).max()
+        found[f"largest deviation of the side zones from half the angle, {law}"] = np.abs(
+            side
+        ).max()
     return found

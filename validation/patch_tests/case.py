@@ -13,7 +13,7 @@ from quasiform.unknowns import Unknowns
 LENGTH, WIDTH = 100.0, 80.0
 SIZES = (10.0, 5.0, 2.5)
 FABRIC = qf.Fabric()
-SOFT = qf.Fabric(  # fibres not stiffer than the shear, so that an error in either law shows
+SOFT = qf.Fabric(  # fibres as soft as the shear, so that an error in either law is visible
     name="soft fibres", warp=qf.ThreeStageLaw(C_ini=1.0), weft=qf.ThreeStageLaw(C_ini=1.0)
 )
 MESHES = ("along the fibres", "fibres at 30 deg", "distorted", "free")
@@ -23,19 +23,23 @@ def values() -> dict[str, float]:
     """Errors of homogeneous states, energies of rigid and bent sheets, orders of convergence."""
     found = {}
     for mesh in MESHES:
-        found |= {f"homogeneous, {mesh}: {name}": v for name, v in _homogeneous(mesh).items()}
-        found[f"rigid motion, {mesh}: energy over that of 1 deg of shear"] = _rigid(mesh)
+        found |= {
+            f"homogeneous, {mesh}: error of the {name}": v for name, v in _homogeneous(mesh).items()
+        }
+        found[f"rigid motion, {mesh}: energy divided by that of 1 deg of shear"] = _rigid(mesh)
     for angle in (0, 30, 45, 90):
         off = [_rolled(float(angle), size) for size in SIZES]
-        found[f"rolled, warp at {angle} deg to the arc: energy"] = 1 + off[-1]
+        found[f"rolled, warp at {angle} deg to the arc: energy divided by the exact one"] = (
+            1 + off[-1]
+        )
         found[f"rolled, warp at {angle} deg to the arc: order"] = _order(off)
     for mesh in ("along the fibres", "fibres at 30 deg", "free"):
         errors = np.array([_manufactured(mesh, size) for size in SIZES])
-        found[f"manufactured, {mesh}: shear angle"] = errors[-1, 1]
+        found[f"manufactured, {mesh}: error of the shear angle"] = errors[-1, 1]
         found[f"manufactured, {mesh}: order of positions"] = _order(errors[:, 0])
         found[f"manufactured, {mesh}: order of the shear angle"] = _order(errors[:, 1])
     errors = np.array([_manufactured("free", size, FABRIC) for size in SIZES])
-    found["manufactured, free, fibres of MD600: shear angle"] = errors[-1, 1]
+    found["manufactured, free, fibres of MD600: error of the shear angle"] = errors[-1, 1]
     found["manufactured, free, fibres of MD600: order of positions"] = _order(errors[:, 0])
     return found
 
@@ -65,7 +69,7 @@ def _rim(blank: qf.Blank) -> np.ndarray:
 
 
 def _homogeneous(mesh: str) -> dict[str, float]:
-    """Rim moved by F(s) = 1 + s (F - 1): the inside must follow, the force is t0 A dW/ds."""
+    """Edge moved by F(s) = 1 + s (F - 1): the inside must follow, the force is t0 A dW/ds."""
     blank = _blank(mesh, 10.0)
     along = np.column_stack([blank.warp, blank.weft])
     F = along @ np.array([[1.002, 0.10], [0.15, 0.999]]) @ along.T
@@ -107,7 +111,7 @@ def _homogeneous(mesh: str) -> dict[str, float]:
 
 
 def _rigid(mesh: str) -> float:
-    """Energy of a sheet turned in space, over that of the flat one sheared by 1 degree."""
+    """Energy of a sheet rotated in space, divided by that of the flat one sheared by 1 degree."""
     blank = _blank(mesh, 10.0)
     n = np.array([1.0, 2.0, -0.5]) / np.linalg.norm([1.0, 2.0, -0.5])
     cross = np.array([[0.0, -n[2], n[1]], [n[2], 0.0, -n[0]], [-n[1], n[0], 0.0]])
@@ -122,17 +126,16 @@ def _rigid(mesh: str) -> float:
 
 
 def _rolled(angle: float, size: float) -> float:
-    """Bending energy of a sheet rolled on a cylinder over the exact one, less 1.
+    """Bending energy of a sheet rolled on a cylinder divided by the exact one, minus 1.
 
-    A fibre at an angle t to the arc is a helix of curvature cos²(t)/R. Lines end freely, without
-    curvature; these ends are left out.
+    A fibre at an angle t to the arc is a helix of curvature cos²(t)/R. The free ends of the lines
+    have no curvature and are excluded.
     """
     radius = 100.0
     blank = qf.rectangle(LENGTH, WIDTH, size, angle, (LENGTH / 2, WIDTH / 2))
     X, Y = blank.nodes.T
     x = np.column_stack([radius * np.sin(X / radius), Y, radius * (1 - np.cos(X / radius))])
-    sheet = Unknowns().sheet(blank, FABRIC, dim=3)
-    kappa = np.abs(Bending(sheet).curvature(x.ravel()))
+    kappa = np.abs(Bending(Unknowns().sheet(blank, FABRIC, dim=3)).curvature(x.ravel()))
     t = np.radians(angle)
     exact = np.array([np.cos(t) ** 2, np.sin(t) ** 2]) / radius
     found = [k[k > 0.5 * e] if e > 1e-9 else k for k, e in zip(kappa.T, exact, strict=True)]
@@ -141,10 +144,11 @@ def _rolled(angle: float, size: float) -> float:
 
 
 def _manufactured(mesh: str, size: float, fabric: qf.Fabric = SOFT) -> tuple[float, float]:
-    """Root mean square errors of positions (mm) and shear angle (deg) where the answer is given.
+    """Root mean square errors of positions (mm) and shear angle (deg) against a given solution.
 
-    x = A(a) + B(b) of curved fibres, all in tension (compressed ones would buckle in the plane, so
-    weak is the shear). The load is that of its stress, f_i = ∫ t0 P·∇N_i, the rim is prescribed.
+    x = A(a) + B(b) of curved fibres, all in tension (with this weak shear, compressed fibres
+    would buckle in the plane). The load is that of its stress, f_i = ∫ t0 P·∇N_i; the edge is
+    prescribed.
     """
     blank = _blank(mesh, size)
     speed, turn = 0.005, 0.15

@@ -5,15 +5,15 @@ sphere of radius 50 mm from below. It starts flat at z = 0, the top of the spher
 u_z = 0 where the flat radius exceeds 110 mm, u_x = u_y = 0 at the centre and u_y = 0 at the middle
 of an edge. Penalty 10 MPa/mm, friction 0.157.
 
-CalculiX takes it as S3 shells with orthotropic constants. The thickness t = √(12 B/(E t0)), with E
-and G raised by t0/t, keeps the tension stiffness E t0 = 4016 N/mm, the shear stiffness
+CalculiX has S3 shells with orthotropic constants. The thickness t = √(12 B/(E t0)), with E and G
+raised by t0/t, keeps the tension stiffness E t0 = 4016 N/mm, the shear stiffness
 G t0 = 0.335 N/mm and the bending stiffness B = 3.4 N mm. Its outer face touches the sphere, so the
-mid-surface comes to rest at the radius 50 mm + t/2; quasiform, whose sheet is t0 thick, is given a
-ball that much smaller that its mid-surface comes to the same radius. Its tools move downwards, so
-its scene is upside down.
+mid-surface comes to rest at the radius 50 mm + t/2. The sheet of quasiform is t0 thick; its ball is
+smaller, so that its mid-surface comes to the same radius. Its tools move downwards, so its scene is
+upside down.
 
-The nodes of the sphere are all prescribed: it costs CalculiX no unknowns. Both codes have the same
-triangles, and the shear angle is measured alike, from the positions of the nodes.
+The nodes of the sphere are all prescribed: it adds no unknowns to CalculiX. Both codes have the
+same triangles, and the shear angle is computed in the same way, from the positions of the nodes.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def missing() -> str:
 
 
 def problems(folder: Path) -> list[Problem]:
-    """Both codes on two meshes, with the increments each takes by itself up to a largest one."""
+    """Both codes on two meshes, with their automatic increments up to a largest one."""
     import quasiform as qf
 
     found = []
@@ -58,7 +58,7 @@ def problems(folder: Path) -> list[Problem]:
         contenders = []
         for setting, (first, largest) in CONTROLS.items():
             if size < SIZES[0] and setting == "to 20 mm":
-                continue  # minutes, for a setting between two others
+                continue  # takes minutes, and is between two other settings
             given = {"mesh": str(mesh), "first": first, "largest": largest}
             contenders += [
                 Contender(
@@ -104,7 +104,7 @@ def deck(
     facets : int
         Faces of the sphere along its side.
     contact : str
-        Type of the contact in CalculiX's words.
+        Type of the contact, as CalculiX names it.
     controls : str
         Further lines in the step.
     """
@@ -197,7 +197,7 @@ def calculix(
     controls: str = "",
     keep: str = "",
 ) -> Answer:
-    """Write the deck, run ccx on all processors and read what it found."""
+    """Write the deck, run ccx on all processors and read its results."""
     data = np.load(mesh)
     nodes, triangles = data["nodes"], data["triangles"]
     with tempfile.TemporaryDirectory() as temporary:
@@ -248,11 +248,11 @@ def displacements(frd: str, n: int) -> FloatArray:
     return u
 
 
-# Measures, for both codes alike
+# Measures, the same for both codes
 
 
 def largest_shear(nodes: FloatArray, triangles: np.ndarray, x: FloatArray) -> float:
-    """Largest angle by which x and y fibres of a triangle leave the right angle, degrees."""
+    """Largest deviation of x and y fibres of a triangle from the right angle, degrees."""
     flat = nodes[triangles[:, 1:]] - nodes[triangles[:, :1]]
     edges = x[triangles[:, 1:]] - x[triangles[:, :1]]
     fibres = np.linalg.solve(flat, edges)  # (m, 2, 3): images of the unit vectors along x and y
@@ -277,14 +277,13 @@ def draw_in(nodes: FloatArray, x: FloatArray) -> float:
 
 
 def scene(size: float):
-    """Return the scene with a recipe, so that it is built at other sizes too."""
+    """Build the scene by hand, upside down: the ball comes from above."""
     from quasiform.recipe import built
 
-    return built(open_die, size)
+    return built(_model, size)
 
 
-def open_die(size: float, like=None):
-    """Build the scene by hand, upside down: the ball comes from above."""
+def _model(size: float, like: object = None):
     import quasiform as qf
     from quasiform.energy.bending import Bending
     from quasiform.energy.contact import Contact
@@ -305,7 +304,7 @@ def open_die(size: float, like=None):
     )
     n = len(blank.nodes)
     radius = RADIUS + THICKNESS / 2 - fabric.thickness / 2
-    rest = RADIUS + THICKNESS / 2  # at touch: before it there is no force to measure against
+    rest = RADIUS + THICKNESS / 2  # at contact: before it there is no force to compare with
     tool = qf.Tool("punch", ball(radius), height=rest, motion="driven", friction=FRICTION)
     x0 = np.append(np.column_stack([blank.nodes, np.zeros(n)]).ravel(), rest)
     fixed = np.zeros(3 * n + 1, dtype=bool)
@@ -322,12 +321,7 @@ def open_die(size: float, like=None):
         name="open-die-hemisphere",
         unknowns=unknowns,
         sheets=[sheet],
-        terms=[
-            Membrane(sheet),
-            Bending(sheet),
-            contact,
-            Friction(contact),
-        ],
+        terms=[Membrane(sheet), Bending(sheet), contact, Friction(contact)],
         x0=x0,
         fixed=fixed,
         drive=drive,
@@ -341,7 +335,7 @@ def open_die(size: float, like=None):
 
 
 def quasiform(size: float, increment: float | None = None, levels: bool = False) -> Answer:
-    """Quasiform with equal increments, or its own; with `levels` the path on the coarsest mesh."""
+    """Quasiform with equal or automatic increments; with `levels` the path on the coarsest mesh."""
     import quasiform as qf
 
     made = scene(size)
@@ -351,8 +345,8 @@ def quasiform(size: float, increment: float | None = None, levels: bool = False)
         result = qf.solve(made, increment=increment, estimate=False)
     if result.status != "completed":
         return Answer(failed=result.reason)
-    x = made.positions(result.states[-1].x)
-    blank = made.blank
+    x = made.sheet.positions(result.states[-1].x)
+    blank = made.sheet.blank
     return Answer(
         abs(float(result.force)),
         largest_shear(blank.nodes, blank.triangles, x),

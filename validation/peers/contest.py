@@ -1,15 +1,15 @@
-"""The small interface of the peers: problems, contenders, answers, rows.
+"""The interface of the peers: problems, contenders, answers, rows.
 
 A peer is a module with two functions:
 
-    missing() -> str                      why it cannot run here, or ""
+    missing() -> str                      why it cannot run here; empty if it can
     problems(folder) -> list[Problem]     what is compared; `folder` takes meshes and decks
 
-A contender is a function of such a module that solves the problem by one code with one setting and
-returns an `Answer`. It runs in a process of its own (`once.py`), so that its solve time is measured
-inside and its whole time outside, for all codes alike. Contenders of a problem take turns
-(A B C A B C ...), and a row has the medians. Processor time is kept too: on a busy machine it says
-more than the clock.
+A contender is a function of such a module that solves the problem with one code and one setting and
+returns an `Answer`. It runs in its own process (`once.py`), so that its solve time is measured
+inside and its whole time outside, in the same way for all codes. Contenders of a problem alternate
+(A B C A B C ...), and a row has the medians. Processor time is stored too: on a busy machine it is
+more reliable than wall time.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ OURS = "quasiform"
 
 @dataclass(frozen=True)
 class Answer:
-    """What one run of one code found.
+    """The result of one run of one code.
 
     Parameters
     ----------
     value : float
-        The value that codes must agree on: a force, N, or an error, degrees.
+        The value on which the codes must agree: a force, N, or an error, degrees.
     angle : float
         Shear angle, degrees: at the centre (off-axis tension) or the largest.
     solve_s : float
@@ -66,11 +66,11 @@ class Contender:
     ----------
     code : str
     setting : str
-        Its increments, in words; contenders of equal setting are compared with each other.
+        A description of its increments; contenders of equal setting are compared with each other.
     function : str
         Name of the function that solves, in the module of the peer.
     arguments : dict
-        Its arguments (what JSON can hold).
+        Its arguments, as JSON values.
     """
 
     code: str
@@ -90,9 +90,9 @@ class Problem:
         Module of the peer, below `validation.peers`.
     contenders : tuple of Contender
     least, most : float
-        Band of the value in which codes agree.
+        Range of the value in which codes agree.
     quantity : str
-        What the value is, with its unit.
+        Name of the value, with its unit.
     """
 
     name: str
@@ -108,9 +108,9 @@ class Row:
     """One line of the table: a contender with its answer and its times.
 
     `solve_s`, `whole_s` and `processor_s` (of the whole process, all its threads) are medians.
-    `ratio` is the solve time over that of quasiform in the same setting, `best_ratio` that of the
-    fastest row of a code over the fastest of quasiform; None where there is nothing to compare
-    (only rows that agree are compared).
+    `ratio` is the solve time divided by that of quasiform with the same setting, `best_ratio` that
+    of the fastest row of a code divided by the fastest of quasiform; None if there is nothing to
+    compare (only rows that agree are compared).
     """
 
     problem: str
@@ -132,16 +132,16 @@ class Row:
         return self.best_ratio is not None
 
 
-def rows(problem: Problem, repeats: int = 3, tell: Callable[[str], None] = print) -> list[Row]:
-    """Let the contenders of a problem take turns and return their rows.
+def rows(problem: Problem, repeats: int = 3, report: Callable[[str], None] = print) -> list[Row]:
+    """Run the contenders of a problem alternately and return their rows.
 
     Parameters
     ----------
     problem : Problem
     repeats : int
-        Rounds of turns. Who fails in one is left out of the next.
-    tell : callable
-        Is told each run in a line.
+        Runs of each contender; one that has failed is not run again.
+    report : callable
+        Called with a line for each run.
     """
     found: list[list[Run]] = [[] for _ in problem.contenders]
     for turn in range(repeats):
@@ -151,7 +151,7 @@ def rows(problem: Problem, repeats: int = 3, tell: Callable[[str], None] = print
             mine.append(run(problem.module, contender))
             answer = mine[-1].answer
             outcome = answer.failed or f"{answer.value:.5g}, solve {answer.solve_s:.3g} s"
-            tell(f"  {turn + 1}: {contender.code} {contender.setting}: {outcome}")
+            report(f"  {turn + 1}: {contender.code} {contender.setting}: {outcome}")
     return compared([_row(problem, *pair) for pair in zip(problem.contenders, found, strict=True)])
 
 
@@ -194,7 +194,7 @@ def compared(table: list[Row]) -> list[Row]:
 
 @dataclass(frozen=True)
 class Run:
-    """One process: its answer, its time by the clock and on the processors, s."""
+    """One process: its answer, its wall time and processor time, s."""
 
     answer: Answer
     whole_s: float
@@ -226,5 +226,5 @@ def _processor_time() -> float:
 
 
 def printed(answer: Answer) -> str:
-    """Return an answer as one line that `run` reads."""
+    """An answer as one line for `run`."""
     return json.dumps(asdict(answer))

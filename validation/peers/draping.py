@@ -1,16 +1,16 @@
 """Kinematic draping (fishnet) of the hemisphere by geometry alone.
 
 The fabric is an inextensible net of spacing h. Its two fibres through the pole lie on great circles
-(a, b = 0, h, 2h, ...); every further node is the point of the sphere at the arc h from two
-neighbours that is not the one they come from (Mack and Taylor, J. Textile Inst. 47, 1956). With
+(a, b = 0, h, 2h, ...); each further node is the point of the sphere at the arc h from two
+neighbours that is not their common neighbour (Mack and Taylor, J. Textile Inst. 47, 1956). With
 neighbours p, q on the sphere of radius R and c = R² cos(h/R), the node x solves x·p = x·q = c:
 
     x = α (p + q) + β q×p,   α = c/(R² + p·q),   β = √(R² - 2 α² (R² + p·q)) / |q×p|,
 
-where p is the neighbour along a. The nodes i + j = const follow from the ones before all at once.
-It knows neither forces nor what happens beside the cap, so it is compared on the cap only, with the
-exact net `quasiform.theory.hemisphere_net`. Quasiform solves the whole forming for the same angles:
-the accuracies are comparable, the times say what mechanics costs.
+where p is the neighbour along a. All nodes of one i + j follow from the previous ones at once.
+The method gives no forces and no result outside the cap, so it is compared on the cap only, with
+the exact net `quasiform.theory.hemisphere_net`. Quasiform solves the whole forming for the same
+angles: the accuracies are comparable; the times show the cost of the mechanics.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def problems(folder: Path) -> list[Problem]:
 
 
 def drape(radius: float, spacing: float, count: int) -> FloatArray:
-    """Nodes (count, count, 3) of a quarter of the net, the pole at [0, 0]; nan where it ends.
+    """Nodes (count, count, 3) of a quarter of the net, the pole at [0, 0]; nan outside.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def fishnet(spacing: float, radius: float) -> Answer:
     clock = time.perf_counter()
     x = drape(radius, spacing, int(1.3 * np.pi * radius / spacing))
     along, across = np.diff(x, axis=0)[:, :-1], np.diff(x, axis=1)[:-1]
-    # the two legs at a corner see the shear at the middle of the hypotenuse to second order
+    # the two legs at a corner give the shear at the middle of the hypotenuse to second order
     sine = (along * across).sum(-1) / (
         np.linalg.norm(along, axis=-1) * np.linalg.norm(across, axis=-1)
     )

@@ -7,7 +7,7 @@ h = F b0, W = W4(f·f) + W6(f·h) + W8(h·h) gives
               G^4 = 2 f⊗a0,  G^6 = f⊗b0 + h⊗a0,  G^8 = 2 h⊗b0
     A_iJkL  = Σ_k W_k'' G^k_iJ G^k_kL + δ_ik [2 W4' a0⊗a0 + W6' (a0⊗b0 + b0⊗a0) + 2 W8' b0⊗b0]_JL.
 
-The three-stage law is written here once more, from Eq. 9 of the paper, so that FElupe's process
+The three-stage law is implemented here again, from Eq. 9 of the paper, so that FElupe's process
 does not load quasiform; `problems` checks that both laws are the same.
 
 FElupe 11 solves with Newton's method without a line search (its own, by residuals, can be switched
@@ -39,7 +39,7 @@ def missing() -> str:
 
 
 def problems(folder: Path) -> list[Problem]:
-    """Two meshes, a range of increments, both codes in turns."""
+    """Two meshes, a range of increments, both codes alternately."""
     return [_problem(folder, size) for size in FORCES]
 
 
@@ -88,7 +88,7 @@ def _problem(folder: Path, size: float) -> Problem:
 
 
 def quasiform(size: float, increment: float | None = None) -> Answer:
-    """Quasiform with equal increments, or its own."""
+    """Quasiform with equal or automatic increments."""
     import quasiform as qf
 
     scene = qf.off_axis_tension(45, "locking", displacement=TRAVEL, size=size)
@@ -188,7 +188,7 @@ def felupe(
         mm.
     linear : "symmetric", "pypardiso" or "scipy"
         SuperLU with a symmetric minimum-degree order, the fastest; PyPardiso's `spsolve`, as
-        FElupe's documentation advises; or SciPy's, FElupe's default.
+        FElupe's documentation recommends; or SciPy's, FElupe's default.
     line_search : bool
         Switch on FElupe's own line search.
     """

@@ -1,7 +1,7 @@
-"""One contender in a process of its own: `python -m validation.peers.once MODULE FUNCTION JSON`.
+"""One contender in its own process: `python -m validation.peers.once MODULE FUNCTION JSON`.
 
-Nothing is imported here but the module of the peer, which imports its code where it uses it, so
-that no code pays for another's start.
+Only the module of the peer is imported here. It imports its code where it is used, so that the
+process time of one code does not include the start of another.
 """
 
 import importlib

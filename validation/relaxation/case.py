@@ -1,4 +1,4 @@
-"""Dynamic relaxation alone reaches the state that Newton's method finds."""
+"""Dynamic relaxation alone finds the same state as Newton's method."""
 
 from collections.abc import Callable
 
@@ -20,6 +20,8 @@ def _differ(name: str, scene: Callable[[], qf.Model], increment: float) -> dict[
         for method in ("newton", "relaxation")
     )
     return {
-        f"force, {name}": 100 * abs(relaxed.force / newton.force - 1),
-        f"shear angle, {name}": np.abs(relaxed.shear_angle - newton.shear_angle).max(),
+        f"difference of the force, {name}": 100 * abs(relaxed.force / newton.force - 1),
+        f"difference of the shear angle, {name}": np.abs(
+            relaxed.shear_angle - newton.shear_angle
+        ).max(),
     }

@@ -1,14 +1,14 @@
-"""Error against work, and what each reduction of the model buys.
+"""Error against work, and the effect of each simplification of the model.
 
     python -m validation.speed                            every scene: rows.csv, rows.md, charts
-    python -m validation.speed --scenes oat-45 box        some of them
-    python -m validation.speed --quick                    a check in some three minutes
+    python -m validation.speed --scenes oat-45 box        some scenes
+    python -m validation.speed --quick                    a check, about three minutes
     python -m validation.speed --reductions               reductions.md
-    python -m validation.speed --scale                    scale.md: the hemisphere, ever finer
+    python -m validation.speed --scale                    scale.md: the hemisphere on fine meshes
 
-Rows that are in rows.csv already, of the same sources of the package, are not computed again.
-Error is against a finest solution, two levels beyond the finest mesh of the chart. Work is
-processor time, and linear solves x unknowns^1.25 over all meshes of a run, in units of one solve
+Rows of rows.csv with the same sources of the package are not computed again. The error is relative
+to a solution two levels finer than the finest mesh of the chart. Work is processor time, and linear
+solves x unknowns^1.25 over all meshes of a run, in units of one solve
 of the scene's default mesh.
 """
 
@@ -22,8 +22,9 @@ from pathlib import Path
 
 import numpy as np
 
+from ..tables import markdown_table
 from . import chart, reductions, scale
-from .rows import GAIN, REFERENCE, Row, expected_seconds, judged, markdown, pareto, read, write
+from .rows import GAIN, REFERENCE, Row, expected_seconds, judged, pareto, read, write
 from .runs import PROBLEMS, STRATEGIES, Plan, plans, run, sources
 
 
@@ -35,13 +36,13 @@ def main(argv: list[str] | None = None) -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--scenes", nargs="+", choices=PROBLEMS, metavar="SCENE")
-    parser.add_argument("--quick", action="store_true", help="few rows, a reference not so fine")
+    parser.add_argument("--quick", action="store_true", help="few rows, and a coarser reference")
     parser.add_argument("--out", type=Path, default=Path("speed"), metavar="DIR")
     parser.add_argument(
-        "--budget", type=float, metavar="SECONDS", help="leave out what is not likely to fit in it"
+        "--budget", type=float, metavar="SECONDS", help="skip the runs that are unlikely to fit"
     )
-    parser.add_argument("--draw", action="store_true", help="draw rows.csv again, compute nothing")
-    parser.add_argument("--reductions", action="store_true", help="what each reduction buys")
+    parser.add_argument("--draw", action="store_true", help="draw rows.csv again without computing")
+    parser.add_argument("--reductions", action="store_true", help="effect of each simplification")
     parser.add_argument("--scale", action="store_true", help="time and memory of large meshes")
     given = parser.parse_args(argv)
     given.out.mkdir(parents=True, exist_ok=True)
@@ -53,7 +54,7 @@ def main(argv: list[str] | None = None) -> int:
         path = given.out / "rows.csv"
         rows = read(path) if given.draw else _compute(given, path)
         if not chart.panels(rows, "seconds", "error"):
-            print(f"nothing to draw: no scene in {path} has a reference and a row")
+            print(f"nothing to draw: no scene in {path} has a reference and another row")
             return 1
         _save(_report(rows), given.out / "rows.md")
         for picture in chart.draw(rows, given.out):
@@ -62,21 +63,21 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _compute(given: argparse.Namespace, path: Path) -> list[Row]:
-    """Make the runs that are not in rows.csv yet, coarse meshes first; all rows."""
+    """Run what is not in rows.csv yet, coarse meshes first; all rows."""
     version = sources()
     rows = [row for row in read(path) if row.version == version]
     known = {row.key for row in rows}
-    beside = path.with_name("fields.npz")
-    fields = dict(np.load(beside)) if beside.exists() else {}
+    stored = path.with_name("fields.npz")
+    fields = dict(np.load(stored)) if stored.exists() else {}
     spent = 0.0
     for plan in plans(given.scenes or list(PROBLEMS), given.quick):
         key = (plan.scene, plan.strategy, plan.size, plan.increment, version)
         if key in known:
             continue
-        where = f"{plan.scene}, {_words(plan)}"
+        where = f"{plan.scene}, {_name(plan)}"
         expected = expected_seconds(plan.scene, plan.strategy, plan.size, plan.increment, rows)
         if given.budget and spent + (expected or 0.0) > given.budget:
-            print(f"left out: {where}: some {expected or 0:.0f} s more than fit in", flush=True)
+            print(f"skipped: {where}: expected {expected or 0:.0f} s do not fit", flush=True)
             continue
         clock = time.perf_counter()
         row, angles = run(plan)
@@ -87,7 +88,7 @@ def _compute(given: argparse.Namespace, path: Path) -> list[Row]:
         rows = [r for r in rows if not _is_reference(r) or r.size == finest[r.scene]]
         rows = judged(rows, fields)
         write(rows, path)
-        np.savez_compressed(beside, **fields)
+        np.savez_compressed(stored, **fields)
         print(
             f"{where}: {row.seconds:.1f} s, {row.solves:.0f} solves, p99 {row.p99:.3f}, "
             f"force {row.force:.3f} N, certified: {row.certified}",
@@ -101,9 +102,9 @@ def _is_reference(row: Row) -> bool:
 
 
 def _report(rows: list[Row]) -> str:
-    """Rows by scene in markdown; where the default lies; ratios.
+    """Rows by scene in Markdown, position of the default, ratios.
 
-    Marked on the Pareto front: * of the error of p99, + of the mean error.
+    Marks: * on the Pareto front of the error of p99, + on that of the mean error.
     """
     parts = []
     for name, problem in PROBLEMS.items():
@@ -148,8 +149,8 @@ def _report(rows: list[Row]) -> str:
             "force error %",
             "certified",
         ]
-        words = "\n".join([*_default(own), *_honesty(own), *_ratios(own)])
-        parts.append(f"## {problem.title}\n\n{markdown(head, table)}\n\n{words}")
+        notes = "\n".join([*_default(own), *_estimates(own), *_ratios(own)])
+        parts.append(f"## {problem.title}\n\n{markdown_table(head, table)}\n\n{notes}")
     return "\n\n".join(parts)
 
 
@@ -164,7 +165,7 @@ def _fronts(rows: list[Row], measure: str) -> dict[str, set[tuple]]:
 
 
 def _default(rows: list[Row]) -> list[str]:
-    """Work of the default over the least that reaches its error."""
+    """Work of the default divided by the least work with the same error."""
     lines = []
     for measure, error in product(chart.WORK, chart.ERRORS):
         points = chart.comparable(rows, measure, error)
@@ -175,28 +176,28 @@ def _default(rows: list[Row]) -> list[str]:
             ratio = getattr(default, measure) / getattr(best, measure)
             lines.append(
                 f"- default, {chart.ERRORS[error][1]} against {chart.WORK[measure][1]}: "
-                + ("on the front" if best is default else f"{ratio:.2f} times {_words(best)}")
+                + ("on the front" if best is default else f"{ratio:.2f} times {_name(best)}")
             )
     return lines
 
 
-def _honesty(rows: list[Row]) -> list[str]:
-    """How the program's estimates compare with the errors."""
-    told = [r for r in rows if r.strategy in ("full path", "continuation") and not r.increment]
-    told = [r for r in told if r.error is not None and r.estimate]
-    if not told:
+def _estimates(rows: list[Row]) -> list[str]:
+    """Errors divided by the program's estimates."""
+    known = [r for r in rows if r.strategy in ("full path", "continuation") and not r.increment]
+    known = [r for r in known if r.error is not None and r.estimate]
+    if not known:
         return []
-    ratios = ", ".join(f"{_words(r)} {r.error / r.estimate:.2g}" for r in told)
-    return [f"- error over the program's estimate of it: {ratios}"]
+    ratios = ", ".join(f"{_name(r)} {r.error / r.estimate:.2g}" for r in known)
+    return [f"- error divided by the program's estimate: {ratios}"]
 
 
-def _words(row: Row | Plan) -> str:
+def _name(row: Row | Plan) -> str:
     increment = f", increment {row.increment:g}" if row.increment else ""
     return f"{STRATEGIES[row.strategy][0]} {row.size:g} mm{increment}"
 
 
 def _ratios(rows: list[Row]) -> list[str]:
-    """Processor time of each strategy over that of the full path, size by size."""
+    """Processor time of each strategy divided by that of the full path, by size."""
     automatic = {(r.strategy, r.size): r for r in rows if not r.increment}
     lines = []
     for (strategy, size), row in automatic.items():

@@ -1,4 +1,4 @@
-"""The chart: error against work, a panel a scene, with the Pareto front and the default on it."""
+"""The chart: error against work, one panel per scene, with the Pareto front and the default."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ ERRORS = {
     "error_field": ("mean error of γ over the sheet in °", "mean"),
 }
 FRONT = "0.8"
-LEAST = 1e-3  # degrees: an error below is drawn here
+LEAST = 1e-3  # degrees: smaller errors are drawn here
 
 
 def draw(rows: list[Row], folder: Path) -> list[Path]:
@@ -51,12 +51,12 @@ def draw(rows: list[Row], folder: Path) -> list[Path]:
 
 
 def is_default(row: Row) -> bool:
-    """Whether the command line does this when nobody says anything."""
+    """Whether this is the default of the command line."""
     return (row.strategy, row.size) == PROBLEMS[row.scene].default and not row.increment
 
 
 def comparable(rows: list[Row], measure: str, error: str) -> list[Row]:
-    """Rows that have both, work and error."""
+    """Rows with both work and error."""
     return [r for r in rows if getattr(r, measure) > 0 and getattr(r, error) is not None]
 
 
@@ -74,7 +74,7 @@ def _figure(rows: list[Row], measure: str, error: str) -> Figure:
     from matplotlib.figure import Figure
 
     drawn = panels(rows, measure, error)
-    n = len(drawn) + 1  # the key is a panel too
+    n = len(drawn) + 1  # the legend is a panel too
     columns = min(n, 3)
     lines = -(-n // columns)
     figure = Figure(figsize=(1.55 * WIDTH * columns / 3, 0.62 + 2.75 * lines), layout="constrained")
@@ -118,9 +118,9 @@ def _panel(axes: Axes, rows: list[Row], reference: Row, measure: str, error: str
     _plain_ticks(axes)
     axes.set_xlabel(WORK[measure][0])
     axes.set_ylabel(ERRORS[error][0])
-    told = f" (p99 {reference.p99:.2f}°)" if error == "error" else ""
+    known = f" (p99 {reference.p99:.2f}°)" if error == "error" else ""
     title = PROBLEMS[reference.scene].title
-    axes.set_title(f"{title}\nreference at {reference.size:g} mm{told}")
+    axes.set_title(f"{title}\nreference at {reference.size:g} mm{known}")
 
 
 def _place(row: Row, measure: str, error: str) -> tuple[float, float]:
@@ -128,7 +128,7 @@ def _place(row: Row, measure: str, error: str) -> tuple[float, float]:
 
 
 def _plain_ticks(axes: Axes) -> None:
-    """Numbers as people write them; between the decades too where there is less than two."""
+    """Plain numbers; also between the decades if there are less than two."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     for axis, (low, high) in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
@@ -140,7 +140,7 @@ def _plain_ticks(axes: Axes) -> None:
 
 
 def _write_sizes(axes: Axes, rows: list[Row], places: list[tuple[float, float]]) -> None:
-    """Write the size beside each point, where there is room beside the points and each other."""
+    """Write the size next to each point, where it overlaps nothing."""
     from matplotlib.transforms import Bbox
 
     figure = axes.figure
@@ -203,10 +203,10 @@ def _key(axes: Axes, shown: set[str]) -> None:
     from matplotlib.lines import Line2D
 
     marks = [
-        Line2D([], [], marker=marker, color=colour, linestyle="", markersize=5, label=words)
+        Line2D([], [], marker=marker, color=colour, linestyle="", markersize=5, label=label)
         for name, (marker, colour) in LOOKS.items()
         if name in shown
-        for words in [STRATEGIES[name][0]]
+        for label in [STRATEGIES[name][0]]
     ]
     marks += [
         Line2D(
@@ -216,7 +216,7 @@ def _key(axes: Axes, shown: set[str]) -> None:
             color="0.4",
             linestyle="",
             markersize=3,
-            label="small: increment set by hand",
+            label="small: increment given",
         ),
         Line2D(
             [],
@@ -236,7 +236,7 @@ def _key(axes: Axes, shown: set[str]) -> None:
             linestyle="",
             markersize=11,
             mfc="none",
-            label="what the command line does by itself",
+            label="default of the command line",
         ),
         Line2D(
             [],
@@ -245,7 +245,7 @@ def _key(axes: Axes, shown: set[str]) -> None:
             markersize=9,
             color=FRONT,
             linewidth=4,
-            label="Pareto front of what is certified",
+            label="Pareto front of certified runs",
         ),
     ]
     axes.legend(
@@ -260,7 +260,7 @@ def _key(axes: Axes, shown: set[str]) -> None:
         0.02,
         0.0,
         "Mirror planes are used except in the whole sheet and\nthe free mesh. Full paths: "
-        "without the cost of an error\nestimate; mesh continuation has one by itself.",
+        "without the cost of an error\nestimate; mesh continuation includes one.",
         transform=axes.transAxes,
         fontsize=6,
         color="0.3",

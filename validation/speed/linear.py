@@ -1,10 +1,10 @@
-"""Direct against multigrid on the tangent at the end of a forming run.
+"""Direct solvers and multigrid on the tangent at the end of a forming run.
 
     python -m validation.speed.linear [SIZE ...]
 
-Processor time of a factorisation (its pattern known) with one solution, PARDISO and SuperLU; and of
-conjugate gradients to 1e-8 with smoothed aggregation (PyAMG), whose near-nullspace holds the rigid
-motions, or these and the slides of the fibres along themselves.
+Processor time of a factorisation (with known pattern) and one solution by PARDISO and SuperLU;
+and of conjugate gradients to 1e-8 with smoothed aggregation (PyAMG), with the rigid motions as
+near-nullspace, or these and the motions of the fibres along themselves.
 """
 
 from __future__ import annotations
@@ -14,11 +14,12 @@ import time
 
 import numpy as np
 import pyamg
+from rich.console import Console
+from rich.table import Table
 from scipy.sparse import csr_array, diags_array
 from scipy.sparse.linalg import cg
 
 import quasiform as qf
-from quasiform.model import Model
 from quasiform.solve.equilibrium import Equilibrium
 
 FloatArray = np.ndarray
@@ -26,13 +27,14 @@ TRAVEL = 40.0  # mm of the hemisphere, whole sheet
 
 
 def main(sizes: list[float]) -> None:
-    """Print a row a solver."""
-    print("| triangles | unknowns | solver | factor or set-up, s | solution, s | iterations |")
-    print("|-|-|-|-|-|-|")
+    """Print a table with one row per solver."""
+    table = Table("triangles", "unknowns", "solver", "factor or set-up, s", "solution, s")
+    table.add_column("iterations")
     for size in sizes:
         result = qf.refine(qf.forming("hemisphere", size=size, travel=TRAVEL, symmetry="none"))
         for row in rows(result):
-            print("| " + " | ".join(row) + " |", flush=True)
+            table.add_row(*row)
+    Console().print(table)
 
 
 def rows(result: qf.Result) -> list[tuple[str, ...]]:
@@ -47,8 +49,8 @@ def rows(result: qf.Result) -> list[tuple[str, ...]]:
         except qf.InputError:  # not installed
             continue
         equilibrium.travel = scene.travel
-        equilibrium.take(result.memory)
-        values, _ = equilibrium.potential.hessian(x, result.memory, convex=True)
+        equilibrium.refresh(x)
+        values, _ = equilibrium.potential.hessian(x, equilibrium.memory, convex=True)
         solver = equilibrium.tangent.solver
         solver.factor(values)
         factor, _ = timed(lambda s=solver, v=values: s.factor(v))
@@ -57,7 +59,7 @@ def rows(result: qf.Result) -> list[tuple[str, ...]]:
     p = equilibrium.potential.pattern
     upper = csr_array((values, p.indices, p.indptr), shape=p.shape)
     A = csr_array(upper + upper.T - diags_array(upper.diagonal()))
-    rigid = rigid_motions(scene)[~scene.fixed]
+    rigid = rigid_motions(scene, x)
     for name, B in (("rigid", rigid), ("rigid and slides", np.hstack([rigid, slides(scene, x)]))):
         setup, levels = timed(lambda B=B: pyamg.smoothed_aggregation_solver(A, B=B))
         steps: list[int] = []
@@ -71,18 +73,18 @@ def rows(result: qf.Result) -> list[tuple[str, ...]]:
     return found
 
 
-def rigid_motions(scene: Model) -> FloatArray:
-    """(n_dofs, 6) translations and rotations of the sheet, which all tools follow."""
-    X = scene.sheet.positions(scene.x0)
-    B = np.zeros((len(scene.x0), 6))
-    B[~scene.unknowns.at_nodes(), 0] = 1.0
-    for i, e in enumerate(np.eye(3)):
-        B[scene.sheet.dofs, i], B[scene.sheet.dofs, 3 + i] = e, np.cross(e, X)
-    return B
+def rigid_motions(scene: qf.Model, x: FloatArray) -> FloatArray:
+    """(n_free, 6) translations and rotations of the sheet."""
+    sheet, motions = scene.sheet, np.zeros((len(x), 6))
+    place = sheet.positions(x)
+    for axis, unit in enumerate(np.eye(3)):
+        motions[sheet.dofs, axis] = unit
+        motions[sheet.dofs, 3 + axis] = np.cross(unit, place)
+    return motions[~scene.fixed]
 
 
-def slides(scene: Model, x: FloatArray) -> FloatArray:
-    """(n_free, 6) motions of the fibres along themselves, a power of the place across them."""
+def slides(scene: qf.Model, x: FloatArray) -> FloatArray:
+    """(n_free, 6) motions of the fibres along themselves: powers of the position across them."""
     blank = scene.sheet.blank
     triangles, n = blank.triangles, len(blank.nodes)
     motions = []

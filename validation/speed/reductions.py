@@ -1,7 +1,7 @@
-"""What each reduction of the model buys: time saved and answer changed, beside the error estimate.
+"""Effect of each simplification: time saved and change of the result, with the error estimate.
 
-Each run is the full path on the hemisphere at 0° and 10 mm with all reductions but one, or, for
-mesh continuation, at 5 mm. The plane problem is that of the off-axis tension test.
+Each run is the full path on the hemisphere at 0° and 10 mm with all simplifications except one; for
+mesh continuation, at 5 mm. The plane problem is the off-axis tension test.
 """
 
 from __future__ import annotations
@@ -22,23 +22,22 @@ from quasiform.energy.membrane import Membrane
 from quasiform.scenes import scene_file
 from quasiform.unknowns import Unknowns
 
-from .rows import markdown
+from ..tables import markdown_table
 
 Solve = Callable[[], qf.Result]
 
 
 def table() -> str:
-    """Markdown, one row a reduction."""
+    """A Markdown table, one row per simplification."""
     rows = []
     with TemporaryDirectory() as folder:
         for name, where, reduced, full in _pairs(Path(folder)):
             short, seconds = _timed(reduced)
             long, without = _timed(full)
             p99 = [r.quantities["shear_angle_deg"] for r in (short, long)]
-            model = short.model
-            judge = None if model.changed else model.recipe.build(2 * model.size, like=model)
-            if short.estimate["shear_angle_deg"] is None and judge is not None:
-                short.judge([qf.solve(judge, estimate=False)])
+            if short.estimate["shear_angle_deg"] is None:
+                coarse = short.model.recipe.build(2 * short.model.size)
+                short.judge([qf.solve(coarse, estimate=False)])
             rows.append(
                 [
                     name,
@@ -58,17 +57,17 @@ def table() -> str:
                 ]
             )
             print("; ".join(map(str, rows[-1])), flush=True)
-    head = ["reduction", "where", "s with", "s without", "ratio", "dofs", "solves"]
+    head = ["simplification", "where", "s with", "s without", "ratio", "dofs", "solves"]
     head += ["force changed %", "p99 changed °", "estimate of force %", "estimate of p99 °"]
     return (
-        "Processor times of the solve, with the reduction and without it; a ratio above 1 is time "
-        "saved.\nThe estimates are those of the mesh, for comparison.\n\n"
-        + markdown([*head, "certified"], rows)
+        "Processor times of the solve, with the simplification and without it; a ratio above 1 is "
+        "time saved.\nThe estimates are those of the mesh, for comparison.\n\n"
+        + markdown_table([*head, "certified"], rows)
     )
 
 
 def _pairs(folder: Path) -> list[tuple[str, str, Solve, Solve]]:
-    """(reduction, where, with it, without it)."""
+    """(simplification, where, with it, without it)."""
     here, strip = "hemisphere, 10 mm", "off-axis tension 45°, 10 mm"
 
     def path(scene: Callable[[], qf.Model]) -> Solve:
@@ -79,7 +78,7 @@ def _pairs(folder: Path) -> list[tuple[str, str, Solve, Solve]]:
     return [
         ("plane problem", strip, path(_strip), path(_strip_in_space)),
         (
-            "the same, in-plane bending counted as left out",
+            "the same, without in-plane bending as well",
             strip,
             path(_strip),
             path(lambda: _strip_in_space(1.0)),
@@ -97,14 +96,14 @@ def _pairs(folder: Path) -> list[tuple[str, str, Solve, Solve]]:
             path(lambda: _hemisphere(symmetry="none")),
         ),
         (
-            "friction left out at zero",
+            "no friction terms at zero friction",
             here,
             path(lambda: _hemisphere(friction=0.0)),
             path(lambda: _hemisphere(friction=1e-6)),
         ),
-        ("weight of the sheet left out", here, plain, path(_with_weight)),
+        ("no weight of the sheet", here, plain, path(_with_weight)),
         ("punch in closed form", here, plain, path(lambda: qf.forming(ball, size=10.0))),
-        ("contact between nodes left out", here, plain, path(_with_mid_edges)),
+        ("contact at nodes only", here, plain, path(_with_mid_edges)),
         (
             "mesh continuation",
             "hemisphere, 5 mm",
@@ -140,18 +139,15 @@ def _with_weight() -> qf.Model:
 
 
 def _with_mid_edges() -> qf.Model:
-    """Contact between the nodes too, where no tool is sharp enough for it to be needed."""
-    return _hemisphere().including(with_mid_edges)
-
-
-def with_mid_edges(scene: qf.Model) -> None:
-    """Append these contacts and their friction."""
+    """Contact between the nodes too, although no tool is sharp enough to need it."""
+    scene = _hemisphere()
     edges = at_edges(scene.sheet.blank)
     for contact in scene.contacts:
         between = Contact(scene.sheet, contact.tool, contact.tool_dofs, edges)
         scene.terms.append(between)
         if contact.tool.friction:
             scene.terms.append(Friction(between))
+    return scene
 
 
 def _stl(folder: Path) -> str:
@@ -193,15 +189,15 @@ def _strip() -> qf.Model:
 def _strip_in_space(in_plane: float = 0.0) -> qf.Model:
     """Off-axis tension free to leave its plane, with bending of the fibre lines."""
     flat = _strip()
-    blank, fabric = flat.sheet.blank, replace(flat.sheet.fabric, in_plane_bending=in_plane)
-    n = len(blank.nodes)
-    sheet = (unknowns := Unknowns()).sheet(blank, fabric, dim=3)
+    blank, n = flat.sheet.blank, len(flat.sheet.blank.nodes)
+    fabric = replace(flat.sheet.fabric, in_plane_bending=in_plane)
 
     def spatial(values: np.ndarray, out_of_plane: np.ndarray | float | bool) -> np.ndarray:
         found = np.empty((n, 3), dtype=values.dtype)
         found[:, :2], found[:, 2] = values.reshape(n, 2), out_of_plane
         return found.ravel()
 
+    sheet = (unknowns := Unknowns()).sheet(blank, fabric, dim=3)
     return replace(
         flat,
         unknowns=unknowns,

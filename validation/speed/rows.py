@@ -1,23 +1,27 @@
-"""Rows of the chart as pure data: errors, Pareto front, what a run is likely to cost, CSV."""
+"""Rows of the chart as data: errors, Pareto front, expected time of a run, CSV."""
 
 from __future__ import annotations
 
 import csv
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 
 import numpy as np
+from pydantic.dataclasses import dataclass as checked
 
 from quasiform.result.estimate import discretisation_error
 
+from ..bands import OptionalNumber
+from ..tables import read_table
+
 FloatArray = np.ndarray
 REFERENCE = "reference"
-GAIN = 0.02  # part by which an error must fall to be better; less is the solver's tolerance
-GROWTH = 6.0  # of the work when the size is halved: four times the unknowns, to the power 1.25
+GAIN = 0.02  # part by which an error must decrease to count; less is the solver's tolerance
+GROWTH = 6.0  # of the work when the size is halved: four times the unknowns, to the power of 1.25
 
 
-@dataclass(frozen=True)
+@checked(frozen=True)
 class Row:
     """One run.
 
@@ -35,12 +39,12 @@ class Row:
     solves : float
         Linear solves in units of that mesh, as the program counts them (`Result.linear_solves`).
     units : float
-        Work in linear solves of the scene's default mesh: solves x dofs^1.25 over all meshes. No
-        clock is in it. 0 where nothing is factorised.
+        Work in linear solves of the scene's default mesh: solves x dofs^1.25 over all meshes,
+        independent of clocks. 0 where nothing is factorised.
     force, p99 : float
         At the end: driving force, N, and 99th percentile of the shear angle, degrees.
     certified : str
-        "yes", or why not.
+        "yes", or the reasons why not.
     estimate, estimate_force : float or None
         The program's own error estimate of p99, degrees, and of the force, N.
     version : str
@@ -50,7 +54,7 @@ class Row:
     error_force : float or None
         In the force, % of the reference.
     error_field : float or None
-        Mean over the sheet of the error of the shear angle, degrees: it cannot be small by luck.
+        Mean over the sheet of the error of the shear angle, degrees.
     """
 
     scene: str
@@ -65,26 +69,26 @@ class Row:
     force: float
     p99: float
     certified: str
-    estimate: float | None
-    estimate_force: float | None
+    estimate: OptionalNumber
+    estimate_force: OptionalNumber
     version: str
-    error: float | None = None
-    error_force: float | None = None
-    error_field: float | None = None
+    error: OptionalNumber = None
+    error_force: OptionalNumber = None
+    error_field: OptionalNumber = None
 
     @property
     def key(self) -> tuple[str, str, float, float, str]:
-        """What makes it the same run."""
+        """Identifies a run."""
         return (self.scene, self.strategy, self.size, self.increment, self.version)
 
     @property
     def name(self) -> str:
-        """The key in one word."""
+        """The key as text."""
         return "|".join(map(str, self.key))
 
 
 def judged(rows: Sequence[Row], fields: Mapping[str, FloatArray] | None = None) -> list[Row]:
-    """Rows with their errors against the reference of their scene, where there is one.
+    """Rows with their errors relative to the reference of their scene, if there is one.
 
     Parameters
     ----------
@@ -98,8 +102,8 @@ def judged(rows: Sequence[Row], fields: Mapping[str, FloatArray] | None = None) 
 
     Notes
     -----
-    A full path that was solved without an error estimate gets the one that the program would give,
-    from the same path on the mesh twice as coarse, where that is a row too.
+    A full path that was solved without an error estimate gets the estimate that the program would
+    give, from the same path on the mesh twice as coarse, if that is a row too.
     """
     references = {row.scene: row for row in rows if row.strategy == REFERENCE}
     paths = {(r.scene, r.strategy, r.increment, r.size): r for r in rows}
@@ -125,18 +129,18 @@ def judged(rows: Sequence[Row], fields: Mapping[str, FloatArray] | None = None) 
 
 
 def pareto(points: Sequence[tuple[float, float]], gain: float = GAIN) -> list[int]:
-    """Find the points that no other one beats in both work and error.
+    """Find the points for which no other point has less work and less error.
 
     Parameters
     ----------
     points : sequence of (work, error)
     gain : float
-        Part by which the error must fall for more work to count.
+        Part by which the error must decrease to justify more work.
 
     Returns
     -------
     list of int
-        Their indices, by rising work and falling error; of equal points the first.
+        Their indices, by increasing work and decreasing error; of equal points the first.
 
     Examples
     --------
@@ -153,10 +157,10 @@ def pareto(points: Sequence[tuple[float, float]], gain: float = GAIN) -> list[in
 def expected_seconds(
     scene: str, strategy: str, size: float, increment: float, known: Iterable[Row]
 ) -> float | None:
-    """Processor time that a run is likely to take, from the nearest coarser one like it.
+    """Expected processor time of a run, from the nearest coarser similar one.
 
-    The same strategy and increment counts before the same strategy, and that before any other;
-    None where the scene has no coarser row at all.
+    A row of the same strategy and increment is preferred, then one of the same strategy, then any
+    other; None if the scene has no coarser row.
     """
     coarser = [row for row in known if row.scene == scene and row.size > size * (1 + 1e-9)]
     likely = [
@@ -184,25 +188,7 @@ def write(rows: Sequence[Row], path: Path) -> None:
 
 
 def read(path: Path) -> list[Row]:
-    """Read `rows.csv`; nothing where there is none."""
+    """Read `rows.csv`; empty if it does not exist."""
     if not path.exists():
         return []
-    text = {"scene", "strategy", "certified", "version"}
-    with path.open(newline="", encoding="utf-8") as file:
-        return [
-            Row(
-                **{
-                    name: value
-                    if name in text
-                    else (int(value) if name == "dofs" else float(value) if value else None)
-                    for name, value in entry.items()
-                }
-            )
-            for entry in csv.DictReader(file)
-        ]
-
-
-def markdown(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """Return a table."""
-    lines = [head, ["-"] * len(head), *rows]
-    return "\n".join("|" + "|".join(f" {cell} " for cell in line) + "|" for line in lines)
+    return read_table(path, Row, keyed=False)

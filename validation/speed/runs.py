@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,7 +13,6 @@ import numpy as np
 import quasiform as qf
 from quasiform.result.summary import package_version
 from quasiform.scenes import scene_file
-from quasiform.solve.equilibrium import Equilibrium
 
 from .rows import REFERENCE, Row
 
@@ -34,15 +32,15 @@ class Problem:
     build : callable
         (size, symmetry, mesh) to a scene.
     default : (strategy, size)
-        What the command line does when nobody says.
+        The default of the command line.
     finest : float
         Size of the reference, mm; 0 where there is none.
     runs : tuple of (strategy, sizes, increments)
-        An increment of 0 leaves it to the program.
+        With an increment of 0 the program chooses it.
     charted : bool
-        Whether it has a panel; else its rows are compared with one another only.
+        Whether it has a panel; else its rows are only compared with one another.
     followed : bool
-        Whether the reference follows the full path, where mesh continuation does not get there.
+        Whether the reference takes the full path, as mesh continuation does not reach the end.
     """
 
     title: str
@@ -70,7 +68,7 @@ def _forming(name: str, travel: float) -> Callable[..., qf.Model]:
 
 
 STRATEGIES: dict[str, tuple[str, dict[str, str], dict[str, str]]] = {
-    # name: (words, how the scene is built, how it is solved)
+    # name: (title, how the scene is built, how it is solved)
     "full path": ("full path", {}, {}),
     "continuation": ("mesh continuation", {}, {}),
     "whole": ("whole sheet, full path", {"symmetry": "none"}, {}),
@@ -118,7 +116,7 @@ PROBLEMS = {
         ("full path", 10.0),
         1.25,
         (*_PLANE, ("full path", (20.0, 10.0, 5.0), (1.0, 15.0))),
-        followed=True,  # refine at 1.25 mm: no end within minutes
+        followed=True,  # refine at 1.25 mm does not end within minutes
     ),
     "hemisphere": Problem(
         "hemisphere 0°, 75 mm",
@@ -150,7 +148,7 @@ PROBLEMS = {
 
 @dataclass(frozen=True)
 class Plan:
-    """A run to be made."""
+    """A planned run."""
 
     scene: str
     strategy: str
@@ -161,8 +159,8 @@ class Plan:
 def plans(scenes: list[str], quick: bool = False) -> list[Plan]:
     """Runs of the scenes, coarse meshes first, so that the slow ones come last.
 
-    With `quick` only those with automatic increments on meshes of 10 mm and more, the default, and
-    a reference on half its mesh.
+    With `quick` only those with automatic increments on meshes of at least 10 mm, the default, and
+    a reference of half its size.
     """
     found = []
     for name in scenes:
@@ -187,24 +185,22 @@ def plans(scenes: list[str], quick: bool = False) -> list[Plan]:
 
 
 def run(plan: Plan) -> tuple[Row, FloatArray]:
-    """Carry out a plan: its row, and shear angles (`POINTS`,) at fixed points of the flat sheet.
+    """Run a plan: its row, and shear angles (`POINTS`,) at fixed points of the flat sheet.
 
-    The error estimate of a full path, which would cost the same path on a coarser mesh, is left
-    out; with mesh continuation it comes by itself.
+    The error estimate of a full path, which would need the same path on a coarser mesh, is not
+    made; mesh continuation includes one.
     """
     problem = PROBLEMS[plan.scene]
     _, build, how = STRATEGIES[plan.strategy]
     increment = plan.increment or None
-    with counted() as equilibria:
-        wall, processor = time.perf_counter(), time.process_time()
-        scene = problem.build(plan.size, **build)
-        if plan.strategy == "continuation" or (plan.strategy == REFERENCE and not problem.followed):
-            result = qf.refine(scene, increment=increment)
-        else:
-            result = qf.solve(scene, increment=increment, estimate=False, **how)
-        wall, processor = time.perf_counter() - wall, time.process_time() - processor
+    wall, processor = time.perf_counter(), time.process_time()
+    scene = problem.build(plan.size, **build)
+    if plan.strategy == "continuation" or (plan.strategy == REFERENCE and not problem.followed):
+        result = qf.refine(scene, increment=increment)
+    else:
+        result = qf.solve(scene, increment=increment, estimate=False, **how)
+    wall, processor = time.perf_counter() - wall, time.process_time() - processor
     unit = unknowns(problem.build(problem.default[1]))
-    certified = result.certified
     row = Row(
         scene=plan.scene,
         strategy=plan.strategy,
@@ -214,10 +210,10 @@ def run(plan: Plan) -> tuple[Row, FloatArray]:
         wall=wall,
         dofs=unknowns(scene),
         solves=float(result.linear_solves),
-        units=0.0 if plan.strategy == "relaxation" else work(equilibria, unit),
+        units=0.0 if plan.strategy == "relaxation" else work(result.factorisations, scene, unit),
         force=result.force,
         p99=result.quantities["shear_angle_deg"],
-        certified="yes" if certified else str(certified),
+        certified="yes" if result.certified else "; ".join(result.certified.reasons),
         estimate=result.estimate["shear_angle_deg"],
         estimate_force=result.estimate["force_N"],
         version=sources(),
@@ -227,34 +223,21 @@ def run(plan: Plan) -> tuple[Row, FloatArray]:
 
 
 def unknowns(scene: qf.Model) -> int:
-    """Number of the degrees of freedom that are solved for."""
+    """Number of unknowns."""
     return int((~scene.fixed).sum())
 
 
-def work(equilibria: list[Equilibrium], unit: int) -> float:
-    """Linear solves of all meshes of a run, in those of a mesh with `unit` unknowns."""
-    return sum(e.tangent.factorisations * (unknowns(e.model) / unit) ** GROWTH for e in equilibria)
-
-
-@contextmanager
-def counted() -> Iterator[list[Equilibrium]]:
-    """Collect the equilibria that are set up meanwhile, each with its count of linear solves."""
-    found: list[Equilibrium] = []
-    setup = Equilibrium.__post_init__
-
-    def noted(equilibrium: Equilibrium) -> None:
-        setup(equilibrium)
-        found.append(equilibrium)
-
-    Equilibrium.__post_init__ = noted
-    try:
-        yield found
-    finally:
-        Equilibrium.__post_init__ = setup
+def work(counts: dict[str, int], scene: qf.Model, unit: int) -> float:
+    """Factorisations of all meshes of a run, in those of a mesh with `unit` unknowns."""
+    sizes = {mesh: float(mesh.removesuffix(" mm")) for mesh in counts}
+    return sum(
+        count * (unknowns(scene.recipe.build(sizes[mesh], like=scene)) / unit) ** GROWTH
+        for mesh, count in counts.items()
+    )
 
 
 def sources() -> str:
-    """Version of the package with a digest of its sources: another code is another row."""
+    """Version of the package with a digest of its sources."""
     folder = Path(qf.__file__).parent
     digest = hashlib.sha256()
     for path in sorted(folder.rglob("*.py")):

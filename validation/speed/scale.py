@@ -10,19 +10,19 @@ import time
 
 import numpy as np
 
-from .rows import markdown
+from ..tables import markdown_table
 
-SIZES = (2.2, 1.1, 0.55)  # mm: some 10 000, 40 000 and 160 000 triangles of a quarter
-LONGEST = 480.0  # s: the last one is left out if the one before took longer
+SIZES = (2.2, 1.1, 0.55)  # mm: about 10 000, 40 000 and 160 000 triangles of a quarter
+LONGEST = 480.0  # s: the last one is skipped if the one before took longer
 
 
 def table() -> str:
-    """Markdown of the runs, and the slope of time over unknowns."""
+    """A Markdown table of the runs, and the slope of time over unknowns."""
     runs: list[dict] = []
     note = ""
     for size in SIZES:
         if size == SIZES[-1] and runs[-1]["wall"] > LONGEST:
-            note = f"{size:g} mm left out: {runs[-1]['size']:g} mm took {runs[-1]['wall']:.0f} s."
+            note = f"{size:g} mm skipped: {runs[-1]['size']:g} mm took {runs[-1]['wall']:.0f} s."
             break
         answer = subprocess.run(
             [sys.executable, "-m", "validation.speed.scale", str(size)],
@@ -39,8 +39,8 @@ def table() -> str:
     cells = [[_cell(run[name]) for name in names] for run in runs]
     slope = np.polyfit(*(np.log([run[key] for run in runs]) for key in ("dofs", "seconds")), 1)[0]
     return (
-        "Hemisphere 0°, a quarter as the scene models it, mesh continuation; a process of its own "
-        f"for each row, memory with Python and its imports.\n\n{markdown(head, cells)}\n\n"
+        "Hemisphere 0°, a quarter as the scene models it, mesh continuation; each row in its "
+        f"own process, memory with Python and its imports.\n\n{markdown_table(head, cells)}\n\n"
         f"Time grows with the unknowns to the power {slope:.2f}. {note}".rstrip()
     )
 
@@ -62,7 +62,7 @@ def one(size: float) -> dict:
         "p99": result.quantities["shear_angle_deg"],
         "force": result.force,
         "estimate": result.estimate["shear_angle_deg"],
-        "certified": result.certified,
+        "certified": bool(result.certified),
         "rescues": result.rescues,
     }
 

@@ -1,12 +1,12 @@
-"""Stability map: scenes x settings, how far each gets and why not farther.
+"""Stability map: scenes x settings, the travel that each reaches and why it stops.
 
-    python -m validation.stability                          the map, with what is kept from before
-    python -m validation.stability --fresh                  all of it anew
+    python -m validation.stability                          the map, with the stored cells
+    python -m validation.stability --fresh                  all cells again
     python -m validation.stability --only box-45 arch       some scenes
     python -m validation.stability --settings default fine  some settings
 
-Cells that are kept in cells.json are used again where scene, settings and the sources that matter
-are the same. Exit status 1 if a bar is missed. What is in the map, and why: README.md beside this.
+Cells stored in cells.json are used again if scene, settings and the relevant sources are the same.
+Exit status 1 if a requirement is not met. README.md describes the map.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import sys
 import time
 from pathlib import Path
 
-for _library in ("OMP", "OPENBLAS", "MKL"):  # read when numpy is loaded: a core for each cell
+for _library in ("OMP", "OPENBLAS", "MKL"):  # read when numpy is loaded: one core per cell
     os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
 
 from . import cells, draw, judge  # noqa: E402
@@ -58,7 +58,7 @@ def main(argv: list[str] | None = None) -> int:
         used |= {cell: usable[cell] for cell in needed if cell in usable}
         missing = [cell for cell in needed if cell not in used]
         _solve(missing, given.workers, kept, used, path)
-        needed = judge.wanted(used)  # to check certified cells; twice at most
+        needed = judge.wanted(used)  # checks of certified cells; twice at most
         if not needed:
             break
     cells.write(path, kept)
@@ -70,13 +70,13 @@ def main(argv: list[str] | None = None) -> int:
     (given.out / "map.md").write_text(report, encoding="utf-8")
     draw.picture(shown, against, given.out / "map.png")
     for bar in found:
-        print(f"{'holds ' if bar.holds else 'MISSED'}  {bar.words}: {bar.found}")
+        print(f"{'met    ' if bar.met else 'NOT MET'}  {bar.name}: {bar.found}")
     print(given.out / "map.md")
-    return 0 if all(bar.holds for bar in found) else 1
+    return 0 if all(bar.met for bar in found) else 1
 
 
 def _usable(kept: dict[Cell, cells.Solved], older: bool) -> dict[Cell, cells.Solved]:
-    """Cells whose input is what it was; with `older` those of other sources too."""
+    """Cells with unchanged input; with `older` those of other sources too."""
     return {cell: s for cell, s in kept.items() if older or s.key == cells.key(cell)}
 
 
@@ -87,7 +87,7 @@ def _solve(
     used: dict[Cell, cells.Solved],
     path: Path,
 ) -> None:
-    """Solve cells, the longest first, and keep each as it is done."""
+    """Solve cells, the longest first, and store each when it is done."""
     missing = sorted(missing, key=lambda cell: -_expected(cell, kept))
     clock = time.monotonic()
     for i, solved in enumerate(cells.solve_all(missing, workers), 1):
@@ -95,14 +95,14 @@ def _solve(
         cells.write(path, kept)
         print(
             f"{time.monotonic() - clock:6.0f} s  {i}/{len(missing)}  {solved.scene}, "
-            f"{draw.words(solved.setting)}: {solved.outcome}"
+            f"{draw.describe(solved.setting)}: {solved.outcome}"
             f"{f' ({solved.reason})' if solved.reason else ''}, certified: {solved.certified}",
             flush=True,
         )
 
 
 def _expected(cell: Cell, kept: dict[Cell, cells.Solved]) -> float:
-    """Processor time that a cell took the last time, or a guess, s."""
+    """Processor time of the last solve of a cell, or a guess, s."""
     if cell in kept:
         return kept[cell].seconds
     setting = cell.setting

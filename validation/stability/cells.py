@@ -1,8 +1,7 @@
-"""Solve cells of the map, each in a process of its own with a limit on its time, and keep them.
+"""Solve cells of the map, each in its own process with a time limit, and store them.
 
-A process is forked for each cell, so that a crash or a hang of one is a cell of the map and not its
-end. A finished cell is kept in `cells.json` with the date, the version and a fingerprint of the
-sources that it was solved with.
+A process is forked for each cell, so that a crash or a hang of one does not stop the others. A
+finished cell is stored in `cells.json` with date, version and a fingerprint of the sources.
 """
 
 from __future__ import annotations
@@ -34,20 +33,18 @@ from quasiform.result.summary import package_version
 from .scenes import CASES, SPAN
 from .settings import DEFAULT, Cell, Setting
 
-LIMIT = 400.0  # s of processor time of a cell; beyond it is a hang
-PATIENCE = 4.0  # times that by the wall clock, for a cell that waits and does not work
-# what has no part in a solution: a change there leaves the cells as they are
+LIMIT = 400.0  # s of processor time of a cell; more is a hang
+PATIENCE = 4.0  # times that in wall time, for a cell that waits without computing
+# modules that do not influence a solution: cells stay valid when they change
 APART = {
-    *("__main__", "arguments", "cli", "completion", "doctor", "forecast", "progress"),
-    *("files", "journal", "saved", "plot", "pictures", "view", "report", "surface", "surface_file"),
-    *("compare", "export", "identification", "cad_mesh", "theory"),
-    *("levels", "spread"),
+    *("__main__", "console", "draw", "comparison", "handover", "identification", "theory"),
+    *("files", "journal", "record", "saved", "cad", "grid", "surface_file", "levels", "spread"),
 }
 
 
 @dataclass(frozen=True)
 class Solved:
-    """What a cell came to.
+    """The result of a cell.
 
     Parameters
     ----------
@@ -61,13 +58,13 @@ class Solved:
         Travel, mm (or load factor).
     rescues : dict of rung to count
     certified : str
-        "yes", or why not.
+        "yes", or the reasons why not.
     collapse : float or None
-        Travel from which on a triangle is collapsed, mm.
+        Travel at which the first triangle collapses, mm.
     averages : dict
-        What another solve of the same problem has to find again.
+        Values that another solve of the same problem must find too.
     estimate : dict
-        The program's own error estimate of them, where it gives one.
+        The program's error estimates of them, where they exist.
     waves : dict
         Wavelength and envelope of wrinkles.
     force : float
@@ -80,7 +77,7 @@ class Solved:
     seconds : float
         Processor time.
     key, sources, version, date : str
-        Hash of the input; fingerprint of the sources; when.
+        Hash of the input; fingerprint of the sources; version; date.
     """
 
     scene: str
@@ -110,7 +107,7 @@ class Solved:
 
     @property
     def cell(self) -> Cell:
-        """Which cell it is."""
+        """Scene and setting."""
         return Cell(self.scene, self.setting)
 
     @property
@@ -120,12 +117,12 @@ class Solved:
 
     @property
     def arrived(self) -> bool:
-        """Whether it reached full travel at a state that it may end in."""
+        """Whether it reached full travel in a correct state."""
         return self.outcome == "completed" and not self.reason
 
 
 def solve(cell: Cell) -> dict[str, Any]:
-    """Build and solve a cell; the fields of `Solved` that come of it."""
+    """Build and solve a cell; fields of `Solved`."""
     case, setting = CASES[cell.scene], cell.setting
     scene = case.build(cell.size, case.fabric(setting.contact, setting.friction))
     increment = setting.increment * (scene.travel / SPAN if case.scaled else 1.0)
@@ -145,7 +142,7 @@ def solve(cell: Cell) -> dict[str, Any]:
         "reached": result.states[-1].travel,
         "goal": scene.travel,
         "rescues": result.rescues,
-        "certified": "yes" if result.certified else str(result.certified),
+        "certified": "yes" if result.certified else "; ".join(result.certified.reasons),
         "collapse": result.collapse and result.collapse["travel_mm"],
         "averages": case.averages(result),
         "force": result.force,
@@ -169,12 +166,12 @@ def solve(cell: Cell) -> dict[str, Any]:
 
 
 def _finite(value: float) -> float | None:
-    """A number that JSON can hold."""
+    """A number, or None where JSON has none."""
     return float(value) if np.isfinite(value) else None
 
 
 def _child(cell: Cell, limit: float, sender: connection.Connection) -> None:
-    """Solve a cell within its time and send what came of it."""
+    """Solve a cell within its time and send the result."""
     seconds = int(np.ceil(limit))
     resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 5))
     silent = os.open(os.devnull, os.O_WRONLY)
@@ -194,7 +191,7 @@ def _child(cell: Cell, limit: float, sender: connection.Connection) -> None:
 
 
 def _last_line(text: str) -> str:
-    """The error of a traceback with the place in the package where it was raised."""
+    """The error of a traceback with the file and line where it was raised."""
     lines = text.strip().splitlines()
     places = [line.split('"')[1:] for line in lines if line.startswith("  File ")]
     where = [f"{Path(p[0]).name}{p[1].split(' in ')[0].replace(', line ', ':')}" for p in places]
@@ -204,17 +201,17 @@ def _last_line(text: str) -> str:
 def solve_all(
     waiting: list[Cell], workers: int, limit: float = LIMIT, work: Callable = _child
 ) -> Iterator[Solved]:
-    """Solve cells in processes of their own, so many at a time; yield them as they are done.
+    """Solve cells, each in its own process, `workers` at a time; yield them when they are done.
 
     Parameters
     ----------
     waiting : list of Cell
-        The first is begun first.
+        The first is started first.
     workers : int
     limit : float
-        Of the processor time of a cell, s.
-    work : function of the cell, the limit and the pipe's end
-        What a process does.
+        Processor time of a cell, s.
+    work : function of the cell, the limit and the sending end of a pipe
+        Run in the process.
     """
     context = multiprocessing.get_context("fork")  # the package is imported once
     waiting, running = list(waiting), {}
@@ -225,7 +222,7 @@ def solve_all(
                 receiver, sender = context.Pipe(duplex=False)
                 process = context.Process(target=work, args=(cell, limit, sender), daemon=True)
                 process.start()
-                sender.close()  # or its end would never be seen
+                sender.close()  # else the end of the process would not be noticed
                 running[receiver] = cell, process, time.monotonic()
             ready = connection.wait(list(running), timeout=2.0)
             for receiver, (cell, process, began) in list(running.items()):
@@ -249,7 +246,7 @@ def solve_all(
 
 
 def _died(exitcode: int, late: bool, limit: float) -> dict[str, Any]:
-    """What is known of a cell whose process sent nothing."""
+    """Outcome of a cell whose process sent nothing."""
     if late:
         return {"outcome": "hang", "reason": f"not done after {PATIENCE * limit:.0f} s"}
     if -exitcode in (signal.SIGXCPU, signal.SIGKILL):
@@ -258,8 +255,8 @@ def _died(exitcode: int, late: bool, limit: float) -> dict[str, Any]:
             "reason": f"not done in {limit:.0f} s of processor time",
             "seconds": limit,
         }
-    words = f"signal {signal.Signals(-exitcode).name}" if exitcode < 0 else f"status {exitcode}"
-    return {"outcome": "crash", "reason": f"the process ended with {words}"}
+    end = f"signal {signal.Signals(-exitcode).name}" if exitcode < 0 else f"status {exitcode}"
+    return {"outcome": "crash", "reason": f"the process ended with {end}"}
 
 
 def _dated(cell: Cell, found: dict[str, Any]) -> Solved:
@@ -274,12 +271,12 @@ def _dated(cell: Cell, found: dict[str, Any]) -> Solved:
     )
 
 
-# What is kept
+# Stored cells
 
 
 @cache
 def sources() -> str:
-    """Fingerprint of the code that a solution depends on."""
+    """Fingerprint of the code on which a solution depends."""
     folder = Path(qf.__file__).parent
     paths = [
         path
@@ -294,7 +291,7 @@ def sources() -> str:
 
 
 def fingerprint(paths: list[Path]) -> str:
-    """Digest of files; comments and docstrings of Python do not count."""
+    """Digest of files, without comments and docstrings of Python."""
     digest = hashlib.sha256()
     for path in paths:
         text = path.read_text(encoding="utf-8")
@@ -321,7 +318,7 @@ def key(cell: Cell) -> str:
 
 
 def read(*paths: Path) -> dict[Cell, Solved]:
-    """Cells that are kept, by what they are; of the same one the newest."""
+    """Stored cells; of the same cell the newest."""
     found: dict[Cell, Solved] = {}
     names = {f.name for f in fields(Solved)}
     for path in paths:
@@ -337,9 +334,9 @@ def read(*paths: Path) -> dict[Cell, Solved]:
 
 
 def write(path: Path, kept: dict[Cell, Solved]) -> None:
-    """Write the cells, one a line; a run that is killed leaves the file whole."""
+    """Write the cells, one per line, in one step."""
     rows = sorted(kept.values(), key=lambda s: (s.scene, str(s.setting)))
     lines = ",\n".join(json.dumps(asdict(row)) for row in rows)
-    beside = path.with_suffix(".part")
-    beside.write_text(f"[\n{lines}\n]\n", encoding="utf-8")
-    beside.replace(path)
+    new = path.with_suffix(".part")
+    new.write_text(f"[\n{lines}\n]\n", encoding="utf-8")
+    new.replace(path)

@@ -11,10 +11,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.patches import Rectangle
 
+from ..tables import markdown_table
 from .cells import Solved, key
 from .judge import Bar, Contradiction, Map, errors, is_right
 from .scenes import CASES
-from .settings import DEFAULT, SEEDED, SETTINGS, SHAKEN, Cell, Setting, seeds
+from .settings import DEFAULT, NOISE, SEEDED, SETTINGS, Cell, Setting, seeds
 
 CODES = {  # the first that is found in the reason
     "is not finite": "C",
@@ -33,14 +34,14 @@ MEANING = {
     "F": "friction does not settle",
     "R": "dynamic relaxation does not converge",
     "S": "the tangent is singular",
-    "L": "a loose tool tips off",
-    "W": "an end state that it must not be",
+    "L": "a loose tool tilts",
+    "W": "a wrong end state",
     "X": "refused",
-    "T": "beyond its time (hang)",
+    "T": "over its time limit (hang)",
     "C": "crash",
     "?": "another reason, in map.md",
 }
-DOUBTS = {  # of the certificate, in a word; the gravest first
+UNCERTIFIED = {  # short names of the reasons; the most serious first
     "negative pivots": "pivots",
     "residual": "residual",
     "collapsed": "collapse",
@@ -69,8 +70,8 @@ SHORT = {
 }
 
 
-def words(setting: Setting) -> str:
-    """Differences from the default in words."""
+def describe(setting: Setting) -> str:
+    """Differences from the default as text."""
     differing = [
         f"{f.name} {getattr(setting, f.name)}"
         for f in fields(Setting)
@@ -80,7 +81,7 @@ def words(setting: Setting) -> str:
 
 
 def code(solved: Solved) -> str:
-    """Letter of the reason for which a cell did not arrive; empty if it did."""
+    """Letter of the reason why a cell did not reach full travel; empty if it did."""
     if solved.arrived:
         return ""
     if solved.outcome in ("crash", "refused", "completed"):
@@ -90,20 +91,20 @@ def code(solved: Solved) -> str:
     return next((letter for part, letter in CODES.items() if part in solved.reason), "?")
 
 
-def doubt(solved: Solved) -> str:
-    """What keeps a cell from its certificate, in a word; empty if it has it."""
+def uncertified(solved: Solved) -> str:
+    """Short reason why a completed cell is not certified; empty if it is."""
     if solved.certified == "yes" or solved.outcome != "completed":
         return ""
-    return next((word for part, word in DOUBTS.items() if part in solved.certified), "other")
+    return next((word for part, word in UNCERTIFIED.items() if part in solved.certified), "other")
 
 
 def label(solved: Solved) -> str:
-    """Share of the travel with the reason or the certificate, its doubt, and rescues, by line."""
+    """Lines of text: share of the travel with reason or certificate, and rescues."""
     if solved.outcome == "refused":
         return "refused"
     head = f"{code(solved)} {100 * solved.share:.0f} %".strip()
-    lines = [f"{head} ✓" if solved.certified == "yes" else head, doubt(solved)]
-    eased = solved.rescues.get("convex tangent", 0)  # hardly a rescue, and so many of them
+    lines = [f"{head} ✓" if solved.certified == "yes" else head, uncertified(solved)]
+    eased = solved.rescues.get("convex tangent", 0)  # frequent, and hardly a rescue
     rescued = sum(solved.rescues.values()) - eased
     lines.append(" ".join(f"{x}{n}" for x, n in (("c", eased), ("r", rescued)) if n))
     return "\n".join(line for line in lines if line)
@@ -113,7 +114,7 @@ def picture(cells: Map, against: Sequence[Contradiction], path: Path) -> None:
     """Draw the heat map.
 
     The colour (cividis: grey in print, the same to the colour-blind) is the share of the travel;
-    cells that are not as they must be have a thick frame, contradicted ones a cross.
+    cells without the required outcome have a thick frame, contradicted ones a cross.
     """
     rows = [name for name in CASES if any(scene == name for scene, _ in cells)]
     columns = [name for name in SETTINGS if any(setting == name for _, setting in cells)]
@@ -158,16 +159,16 @@ def picture(cells: Map, against: Sequence[Contradiction], path: Path) -> None:
     axes.set_xlim(-0.5, len(columns) - 0.5)
     axes.set_ylim(len(rows) - 0.5, -0.5)
     axes.set_xticks(range(len(columns)), [SHORT[name] for name in columns], fontsize=7)
-    axes.set_yticks(range(len(rows)), [CASES[name].words for name in rows], fontsize=7.5)
+    axes.set_yticks(range(len(rows)), [CASES[name].title for name in rows], fontsize=7.5)
     axes.xaxis.tick_top()
     axes.tick_params(length=0)
     axes.spines[:].set_visible(False)
     seen = {code(solved) for solved in cells.values()} - {"", "X"}
     legend = "   ".join(f"{letter} {MEANING[letter]}" for letter in MEANING if letter in seen)
     axes.set_xlabel(
-        "share of the travel reached; c: convex tangents taken; r: other rescues; ✓: certified, "
-        "else what keeps it from that; ×: contradicted by another solve;\n"
-        f"thick frame: not as it must be; italics: older code; ·: does not apply\n{legend}",
+        "share of the travel reached; c: convex tangents; r: other rescues; ✓: certified, "
+        "else the reason why not; ×: contradicted by another solve;\n"
+        f"thick frame: requirement not met; italics: older code; ·: does not apply\n{legend}",
         fontsize=7,
         loc="left",
     )
@@ -179,16 +180,6 @@ def picture(cells: Map, against: Sequence[Contradiction], path: Path) -> None:
     plt.close(figure)
 
 
-def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """Return a table in markdown."""
-    lines = [head, ["-"] * len(head), *rows]
-    return "\n".join("|" + "|".join(f" {_cell(c)} " for c in line) + "|" for line in lines)
-
-
-def _cell(content: object) -> str:
-    return str(content).replace("|", "\\|").replace("\n", " ")
-
-
 def report(
     cells: Map,
     used: Mapping[Cell, Solved],
@@ -196,24 +187,24 @@ def report(
     bars: Sequence[Bar],
     minutes: float,
 ) -> str:
-    """Write map.md: bars, cells that did not arrive, certificates, contradictions, wrinkles."""
+    """Text of map.md."""
     dates = sorted(solved.date for solved in cells.values())
     older = sum(solved.key != key(solved.cell) for solved in cells.values())
     checks = len(used) - len({s.cell for s in cells.values()})
     parts = [
         "# Stability map",
-        f"{len(cells)} cells and {checks} solves that check them or are other seeds; solved "
+        f"{len(cells)} cells and {checks} solves for checks and other seeds; solved "
         f"{dates[0][:10]} to {dates[-1][:10]}; {minutes:.1f} minutes on two cores; version "
         f"{', '.join(sorted({s.version for s in cells.values()}))}"
         + (f"; **{older} cells are of older sources**" if older else "")
         + ".",
         "![map](map.png)",
-        "## Bars",
-        table(
-            ["bar", "found", ""],
-            [[bar.words, bar.found, "holds" if bar.holds else "**missed**"] for bar in bars],
+        "## Requirements",
+        markdown_table(
+            ["requirement", "result", ""],
+            [[bar.name, bar.found, "met" if bar.met else "**not met**"] for bar in bars],
         ),
-        "## Cells that did not arrive",
+        "## Cells without full travel or in a wrong state",
         _not_arrived(cells),
         "## Certificates",
         _certificates(cells),
@@ -221,14 +212,14 @@ def report(
         _contradictions(against),
         "## Rescues",
         _rescues(cells),
-        "## What is robust about a wrinkled state",
+        "## Robust properties of wrinkled states",
         _wrinkles(used),
         "## Estimated errors of the mesh",
         _errors(cells, used),
     ]
     warned = Counter(w for solved in used.values() for w in solved.warned)
     if warned:
-        parts += ["## Warnings", table(["warning", "cells"], warned.most_common())]
+        parts += ["## Warnings", markdown_table(["warning", "cells"], warned.most_common())]
     return "\n\n".join(parts) + "\n"
 
 
@@ -239,9 +230,9 @@ def _not_arrived(cells: Map) -> str:
         if not solved.arrived and not CASES[scene].refused
     ]
     refused = Counter(s.reason for s in cells.values() if CASES[s.scene].refused and s.reason)
-    said = [f"Refused, as it must be ({n} cells): {reason}." for reason, n in refused.items()]
+    notes = [f"Refused, as required ({n} cells): {reason}." for reason, n in refused.items()]
     head = ["scene", "setting", "outcome", "reached", "reason", "rescues"]
-    return "\n\n".join([table(head, rows) if rows else "None.", *said])
+    return "\n\n".join([markdown_table(head, rows) if rows else "None.", *notes])
 
 
 def _reach(solved: Solved) -> str:
@@ -260,15 +251,17 @@ def _certificates(cells: Map) -> str:
         for (scene, name), solved in cells.items()
         if solved.outcome == "completed" and solved.certified != "yes"
     ]
-    said = f"{certified} of {len(completed)} completed cells are certified."
-    return f"{said}\n\n{table(['scene', 'setting', 'why not'], rows)}" if rows else said
+    text = f"{certified} of {len(completed)} completed cells are certified."
+    return f"{text}\n\n{markdown_table(['scene', 'setting', 'why not'], rows)}" if rows else text
 
 
 def _contradictions(against: Sequence[Contradiction]) -> str:
     if not against:
         return "None."
-    rows = [[c.cell.scene, words(c.cell.setting), words(c.check.setting), str(c)] for c in against]
-    return table(["scene", "cell", "solve that does not find it again", "worst average"], rows)
+    rows = [
+        [c.cell.scene, describe(c.cell.setting), describe(c.check.setting), str(c)] for c in against
+    ]
+    return markdown_table(["scene", "cell", "contradicting solve", "worst average"], rows)
 
 
 def _rescues(cells: Map) -> str:
@@ -279,26 +272,26 @@ def _rescues(cells: Map) -> str:
     if not total:
         return "None."
     rows = [[rung, in_cells[rung], count] for rung, count in total.most_common()]
-    return table(["rung", "cells", "times"], rows)
+    return markdown_table(["rung", "cells", "times"], rows)
 
 
 def _wrinkles(used: Mapping[Cell, Solved]) -> str:
     parts = [
-        f"The same scene from starts perturbed by ± {SHAKEN:g} mm, one seed each, beside the "
+        f"The same scene from starts perturbed by ± {NOISE:g} mm, one seed each, and the "
         "unperturbed one. Wavelength and envelope are read along one line of the flat sheet "
-        "(`scenes.waves`). Spread is the largest less the smallest over the seeds."
+        "(`scenes.waves`). The spread is the largest minus the smallest value over the seeds."
     ]
     for scene in SEEDED:
-        shaken = [used[cell] for cell in seeds([scene]) if cell in used]
-        shaken = [solved for solved in shaken if solved.outcome == "completed"]
+        perturbed = [used[cell] for cell in seeds([scene]) if cell in used]
+        perturbed = [solved for solved in perturbed if solved.outcome == "completed"]
         default = used.get(Cell(scene, DEFAULT))
-        if not shaken:
+        if not perturbed:
             continue
         rows = []
-        for name in [*shaken[0].averages, *shaken[0].waves, "force_N"]:
+        for name in [*perturbed[0].averages, *perturbed[0].waves, "force_N"]:
             values = [
                 (solved.averages | solved.waves | {"force_N": solved.force}).get(name)
-                for solved in shaken
+                for solved in perturbed
             ]
             values = [value for value in values if value is not None]
             if not values or name in [row[0] for row in rows]:
@@ -319,10 +312,10 @@ def _wrinkles(used: Mapping[Cell, Solved]) -> str:
                 ]
             )
         head = ["quantity", "unperturbed", "mean", "spread", "of the mean", "seeds"]
-        certified = sum(solved.certified == "yes" for solved in shaken)
+        certified = sum(solved.certified == "yes" for solved in perturbed)
         parts.append(
-            f"**{CASES[scene].words}**: {certified} of {len(shaken)} certified\n\n"
-            f"{table(head, rows)}"
+            f"**{CASES[scene].title}**: {certified} of {len(perturbed)} certified\n\n"
+            f"{markdown_table(head, rows)}"
         )
     return "\n\n".join(parts)
 
@@ -332,4 +325,4 @@ def _errors(cells: Map, used: Mapping[Cell, Solved]) -> str:
     for scene in dict.fromkeys(scene for scene, _ in cells):
         for (size, name), (error, origin) in sorted(errors(scene, used).items()):
             rows.append([scene, size, name, f"{error:.3g}", origin])
-    return table(["scene", "size", "average", "error", "from"], rows)
+    return markdown_table(["scene", "size", "average", "error", "from"], rows)

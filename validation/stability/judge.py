@@ -1,4 +1,4 @@
-"""What the map is judged by: contradictions between solves of one problem, and the bars."""
+"""Contradictions between solves of the same problem, and the requirements of the map."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from quasiform.result.estimate import discretisation_error
 
 from .cells import Solved
 from .scenes import CASES
-from .settings import NAMED_SIZES, SETTINGS, Cell, rechecks, tells
+from .settings import NAMED_SIZES, SETTINGS, Cell, is_check, rechecks
 
-FULL = 0.95  # share of the settings at which the paper's scenes have to reach full travel
+FULL = 0.95  # share of the settings at which the paper's scenes must reach full travel
 MINUTES = 40.0  # for the whole map, on two cores
-LEAST = 1e-3  # relative: two solves whose residuals may be 1e-3 of the force tell no more
+LEAST = 1e-3  # relative: as residuals may be 1e-3 of the force
 ROUND_OFF = 1e-6  # degrees, mm, N
 Map = Mapping[tuple[str, str], Solved]
 
 
 @dataclass(frozen=True)
 class Contradiction:
-    """A certified cell that another solve of its problem does not find again."""
+    """A certified cell with another result than another solve of its problem."""
 
     cell: Solved
     check: Solved
@@ -39,16 +39,13 @@ class Contradiction:
 def errors(scene: str, kept: Mapping[Cell, Solved]) -> dict[tuple[str, str], tuple[float, str]]:
     """Estimated error of the mesh in each average of a scene, by size and name, and its origin.
 
-    It is the program's own where there is one: that of the default setting at that size. Where
-    there is none (a coarser mesh cannot be built, stops or collapses, or the average is not among
-    the program's), the same formula takes the sizes of the map; the coarsest takes twice the
-    difference to the next finer one. Where that fails too the error counts as nothing: solves
-    have to agree to the tolerance of the solver.
+    It is the program's own estimate, that of the default setting at that size, if it exists.
+    Otherwise (a coarser mesh cannot be built, stops or collapses, or the average is not one of the
+    program's) the same formula is applied to the sizes of the map; for the coarsest it is twice the
+    difference from the next finer one. If that fails too, the error is zero: solves must agree to
+    the tolerance of the solver.
     """
-    at = {
-        size: kept.get(Cell(scene, SETTINGS["default" if size == "default" else size]))
-        for size in NAMED_SIZES
-    }
+    at = {size: kept.get(Cell(scene, SETTINGS[size])) for size in NAMED_SIZES}
     names = {name for solved in at.values() if solved for name in solved.averages}
     found = {}
     for i, size in enumerate(NAMED_SIZES):
@@ -74,23 +71,23 @@ def errors(scene: str, kept: Mapping[Cell, Solved]) -> dict[tuple[str, str], tup
 
 
 def allowed(error: float, value: float) -> float:
-    """How far two solves of a problem on one mesh may differ in an average."""
+    """Allowed difference of an average between two solves of a problem on one mesh."""
     return max(error, LEAST * abs(value), ROUND_OFF)
 
 
 def checks_of(solved: Solved, kept: Mapping[Cell, Solved]) -> list[Solved]:
-    """Certified solves of the same problem that tell whether a cell holds."""
+    """Certified solves of the same problem that check a cell."""
     return [
         other
         for other in kept.values()
         if other.scene == solved.scene
         and other.certified == "yes"
-        and tells(other.setting, solved.setting)
+        and is_check(other.setting, solved.setting)
     ]
 
 
 def wanted(kept: Mapping[Cell, Solved]) -> list[Cell]:
-    """Solves that are needed still: one for each certified cell that none tells about."""
+    """Solves still needed: one for each certified cell without a check."""
     found: dict[Cell, None] = {}
     for solved in kept.values():
         if solved.certified != "yes" or checks_of(solved, kept):
@@ -104,7 +101,7 @@ def wanted(kept: Mapping[Cell, Solved]) -> list[Cell]:
 
 
 def contradictions(cells: Iterable[Solved], kept: Mapping[Cell, Solved]) -> list[Contradiction]:
-    """Find the worst contradiction of each certified cell, if any."""
+    """The worst contradiction of each certified cell, if any."""
     found = []
     estimated = {scene: errors(scene, kept) for scene in {c.scene for c in kept.values()}}
     for cell in cells:
@@ -126,7 +123,7 @@ def contradictions(cells: Iterable[Solved], kept: Mapping[Cell, Solved]) -> list
 
 
 def is_right(solved: Solved) -> bool:
-    """Whether a cell is as it must be: at its end, or refused where it has to be."""
+    """Whether a cell has the required outcome: full travel, or refused."""
     if CASES[solved.scene].refused:
         return solved.outcome == "refused"
     return solved.arrived
@@ -134,26 +131,26 @@ def is_right(solved: Solved) -> bool:
 
 @dataclass(frozen=True)
 class Bar:
-    """A bar, what was found, and whether it holds."""
+    """A requirement, the result, and whether it is met."""
 
-    words: str
+    name: str
     found: str
-    holds: bool
+    met: bool
 
 
 def bars(
     cells: Map, kept: Mapping[Cell, Solved], against: Sequence[Contradiction], minutes: float
 ) -> list[Bar]:
-    """The bars of the map.
+    """The requirements of the map.
 
     Parameters
     ----------
     cells : mapping of (scene, setting) to Solved
     kept : mapping of Cell to Solved
-        With the solves that check others.
+        Including the solves that check others.
     against : sequence of Contradiction
     minutes : float
-        That the whole map takes on two cores.
+        Time of the whole map on two cores.
     """
     paper = {k: s for k, s in cells.items() if CASES[k[0]].paper}
     at_end = [s for s in paper.values() if s.arrived]
@@ -161,7 +158,7 @@ def bars(
     reached = [s for s in default if s.arrived]
     share = len(at_end) / len(paper) if paper else 1.0
     short = [s for s in cells.values() if not is_right(s)]
-    mute = [s for s in short if not s.reason]
+    unexplained = [s for s in short if not s.reason]
     certified = [s for s in cells.values() if s.certified == "yes"]
     alone = [s for s in certified if not checks_of(s, kept)]
     refused = [s for s in cells.values() if CASES[s.scene].refused]
@@ -173,11 +170,11 @@ def bars(
             share >= FULL,
         ),
         Bar(
-            "and in all at the default",
+            "and in all of them at the default",
             f"{len(reached)} of {len(default)}",
             len(reached) == len(default),
         ),
-        Bar("every cell that does not has a reason", f"{len(mute)} without", not mute),
+        Bar("each other cell has a reason", f"{len(unexplained)} without", not unexplained),
     ]
     for outcome in ("crash", "hang"):
         count = sum(s.outcome == outcome for s in kept.values())
@@ -189,8 +186,8 @@ def bars(
             f"{len(against)} of {len(certified)}",
             not against,
         ),
-        Bar("every certified cell has been checked", f"{len(alone)} not", not alone),
-        Bar("no completed cell ends in a state that it must not", str(len(states)), not states),
+        Bar("each certified cell has been checked", f"{len(alone)} not", not alone),
+        Bar("no completed cell ends in a wrong state", str(len(states)), not states),
         Bar(
             "a sheet without bending stiffness is refused",
             f"{sum(s.outcome == 'refused' for s in refused)} of {len(refused)}",

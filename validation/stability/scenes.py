@@ -1,7 +1,7 @@
-"""Scenes of the stability map: those of the paper, and small ones built by hand to be awkward.
+"""Scenes of the stability map: those of the paper, and small difficult ones built by hand.
 
 Each is a function of the size and the fabric (its friction and its stiffness under a tool are
-settings of the map) with what the map has to know about it.
+settings of the map), with the data that the map needs.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ FloatArray = np.ndarray
 Build = Callable[[float, qf.Fabric], qf.Model]
 Numbers = Callable[[qf.Result], dict[str, float]]
 BLOCK = 5.0  # kg on the strip that sticks and slips
-SPAN = 80.0  # mm: travel of which an increment of 1 mm is 1/80, where the travel is another sort
+SPAN = 80.0  # mm: travel of which an increment of 1 mm is 1/80, for other kinds of travel
 
 
 @dataclass(frozen=True)
@@ -40,28 +40,28 @@ class Case:
 
     Parameters
     ----------
-    words : str
+    title : str
     build : function of the size (mm) and the fabric
     sizes : (3,) floats
         Coarse, default and fine, mm.
     law : "locking" or "best-fit"
     paper : bool
-        Whether the paper shows it: the bar of full travel counts these.
+        Whether it is a scene of the paper: full travel is required of these.
     contact : bool
         Whether tools touch the sheet, so that contact stiffness and friction matter.
     scaled : bool
-        Whether increments are parts of the travel: 20 mm stand for a quarter of it.
+        Whether increments are parts of the travel: 20 mm stand for a quarter.
     averages : function of the Result
-        What a second solve of the same problem has to find again.
+        Values that a second solve of the same problem must find too.
     wrong : function of the Result
-        What is wrong with a completed end state, in words; empty if nothing is.
+        What is wrong with a completed end state; empty if nothing is.
     waves : function of the Result, optional
         Wavelength and envelope of its wrinkles.
     refused : bool
-        Whether it has to be refused, with the reason.
+        Whether it must be refused, with a reason.
     """
 
-    words: str
+    title: str
     build: Build
     sizes: tuple[float, float, float]
     law: str = "locking"
@@ -97,7 +97,7 @@ def height(result: qf.Result) -> FloatArray:
     return result.positions()[:, 2]
 
 
-# The scenes of the paper, and off-axis tension and forming in other ways
+# The scenes of the paper, and variants of them
 
 
 def tension(angle: float, mesh: str, size: float, fabric: qf.Fabric) -> qf.Model:
@@ -105,7 +105,7 @@ def tension(angle: float, mesh: str, size: float, fabric: qf.Fabric) -> qf.Model
 
 
 def compression(size: float, fabric: qf.Fabric) -> qf.Model:
-    """The 45° specimen pressed together by 30 mm, held flat: its grip driven the other way."""
+    """The 45° specimen compressed by 30 mm in its plane: its grip moves the other way."""
     scene = qf.off_axis_tension(45.0, fabric, displacement=30.0, size=size)
     return scene.including(pressed_together)
 
@@ -146,9 +146,9 @@ def of_any_size(build: Build) -> Build:
 def sheared_sheet(size: float, fabric: qf.Fabric) -> qf.Model:
     """Sheet with fibres at ±45° between two clamps, one of which slides along: it wrinkles.
 
-    One family is drawn tight between the clamps and the other one is pressed together. The sheet
-    starts exactly flat, where nothing in its plane moves it out of it. It is four times as stiff
-    in bending as the fabric, so that a wrinkle is some elements wide.
+    One fibre direction is in tension between the clamps and the other one in compression. The sheet
+    starts exactly flat, with no force out of its plane. It is four times as stiff in bending as the
+    fabric, so that a wrinkle is several elements wide.
     """
     length, width, slide = 200.0, 100.0, 2.0
     stiff = replace(
@@ -169,7 +169,7 @@ def sheared_sheet(size: float, fabric: qf.Fabric) -> qf.Model:
 
 @of_any_size
 def flat_strip(size: float, fabric: qf.Fabric) -> qf.Model:
-    """Clamped strip that starts exactly flat and is pressed together along its fibres."""
+    """Clamped strip that starts exactly flat and is compressed along its fibres."""
     length, width, shortening = 100.0, 40.0, 5.0
     blank = qf.rectangle(length, width, size)
     end = np.abs(blank.nodes[:, 0]) > length / 2 - 1e-6
@@ -237,10 +237,10 @@ class LineLoad(qf.Term):
 
 @of_any_size
 def arch(size: float, fabric: qf.Fabric) -> qf.Model:
-    """Shallow arch of fibre lines between hinges, with a dead load on its middle that breaks it.
+    """Shallow arch of fibre lines between hinges, with a dead load on its middle: it snaps through.
 
-    A strip 2 % longer than its span; the load is about twice what it bears, so that on the way it
-    snaps through to the branch that hangs down.
+    A strip 2 % longer than its span; the load is about twice the critical one, so that it snaps
+    through to the lower branch.
     """
     span, width, extra = 100.0, 20.0, 0.02
     length = span * (1 + extra)
@@ -283,7 +283,7 @@ def arch(size: float, fabric: qf.Fabric) -> qf.Model:
 
 @of_any_size
 def block(size: float, fabric: qf.Fabric) -> qf.Model:
-    """A strip between a table and a loose plate of 5 kg, pulled out until it sticks and slips."""
+    """A strip between a table and a loose plate of 5 kg, pulled out until it slips."""
     mass, pull = BLOCK, 2.0
     blank = qf.rectangle(100.0, 50.0, size)
     n, t0 = len(blank.nodes), fabric.thickness
@@ -326,9 +326,9 @@ def block(size: float, fabric: qf.Fabric) -> qf.Model:
 
 @of_any_size
 def fillet(size: float, fabric: qf.Fabric) -> qf.Model:
-    """A strip under a dead load, drawn over a quarter of a rod as thick as the elements are long.
+    """A strip under a dead load, drawn over a quarter of a rod of the radius of an element.
 
-    Contact between nodes is added where the mesh is coarser than the rod, as `forming` does.
+    Contact between nodes is added if the mesh is coarser than the rod, as in `forming`.
     """
     radius, lead, width, pull, load = 5.0, 30.0, 20.0, 20.0, 8.0
     mid = radius + fabric.thickness / 2
@@ -383,13 +383,13 @@ def fillet(size: float, fabric: qf.Fabric) -> qf.Model:
     )
 
 
-# What the scenes built by hand are judged by
+# Averages and checks of the scenes built by hand
 
 
 def of_the_height(result: qf.Result) -> dict[str, float]:
     """Root mean square of the height over the nodes, mm, and the force, N.
 
-    A sheet that may buckle up or down has no mean height worth the name.
+    The mean height has no meaning for a sheet that may buckle up or down.
     """
     return {
         "height_rms_mm": float(np.sqrt((height(result) ** 2).mean())),
@@ -420,14 +420,14 @@ def not_snapped(result: qf.Result) -> str:
 
 
 def not_coulomb(result: qf.Result) -> str:
-    """Once the block slips, its force is μ times the load, on two faces."""
+    """When the block slips, its force is μ times the load, on two faces."""
     limit = theory.strip_friction(result.model.sheet.fabric.friction, BLOCK)
     off = abs(result.force - limit)
     return f"slips at {result.force:.4g} N, not {limit:.4g} N" if off > 0.01 * limit + 1e-3 else ""
 
 
 def waves(line: FloatArray, result: qf.Result) -> dict[str, float | None]:
-    """What wrinkles look like: wavelength along a line of the flat sheet, and envelope, mm.
+    """Wavelength of wrinkles along a line of the flat sheet, and envelope, mm.
 
     Parameters
     ----------
@@ -438,9 +438,9 @@ def waves(line: FloatArray, result: qf.Result) -> dict[str, float | None]:
     Returns
     -------
     dict
-        `wavelength_mm`: twice the mean distance of the zero crossings of the height, less its
+        `wavelength_mm`: twice the mean distance of the zero crossings of the height, minus its
         linear trend, along the line (None with fewer than two); `envelope_mm`: largest height
-        along it, less the trend; `height_max_mm`: over the whole sheet.
+        along it, minus the trend; `height_max_mm`: over the whole sheet.
     """
     z = LinearNDInterpolator(result.blank.nodes, height(result))(line)
     s = np.linalg.norm(line - line[0], axis=1)
@@ -453,7 +453,7 @@ def waves(line: FloatArray, result: qf.Result) -> dict[str, float | None]:
 
 
 def wavelength(s: FloatArray, wave: FloatArray) -> float | None:
-    """Twice the mean distance of the zero crossings of (n,) heights at (n,) places, or None.
+    """Twice the mean distance of the zero crossings of (n,) heights at (n,) positions, or None.
 
     Examples
     --------
@@ -485,8 +485,8 @@ def _cases() -> dict[str, Case]:
     for angle in (30, 45):
         for law in ("locking", "best-fit"):
             build = partial(tension, float(angle), "fibre")
-            words = f"off-axis tension {angle}°, {law}, 80 mm"
-            cases[f"oat-{angle}-{law}"] = Case(words, build, _PLANE, law, paper=True)
+            title = f"off-axis tension {angle}°, {law}, 80 mm"
+            cases[f"oat-{angle}-{law}"] = Case(title, build, _PLANE, law, paper=True)
     for name in ("hemisphere", "tetrahedron", "box"):
         for orientation in (0, 45):
             cases[f"{name}-{orientation}"] = Case(

@@ -1,4 +1,4 @@
-"""Settings of the stability map: one changed at a time from the default, and pairs that bite."""
+"""Settings of the stability map: one changed at a time from the default, and difficult pairs."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ class Setting:
     Parameters
     ----------
     increment : float
-        Of a travel of 80 mm, mm; 0 where the program chooses. A scene whose travel is another sort
-        takes the same part of it.
+        For a travel of 80 mm, mm; 0 if the program chooses. Scenes with another kind of travel
+        take the same part of it.
     size : "coarse", "default" or "fine"
-        Each half of the one before.
+        Each is half of the one before.
     contact : float
         Factor on the stiffness of the sheet under a tool.
     friction : float
@@ -29,7 +29,7 @@ class Setting:
         Amplitude of the noise on the start of each increment, mm.
     seed : int
     estimate : bool
-        Whether the program's own error estimate is made too.
+        Whether the program estimates the error too.
     """
 
     increment: float = 0.0
@@ -44,18 +44,18 @@ class Setting:
 
     @property
     def problem(self) -> tuple[str, float, float]:
-        """What is solved, however it is: the same problem has the same solution."""
+        """Identifies the problem: the same problem has the same solution."""
         return self.size, self.contact, self.friction
 
     def applies(self, case: Case) -> bool:
-        """Whether it is another setting than the default for a scene."""
+        """Whether it differs from the default for a scene."""
         return case.contact or (self.contact, self.friction) == (1.0, DEFAULT.friction)
 
 
 DEFAULT = Setting(estimate=True)
 _ONE = replace(DEFAULT, estimate=False)
-SHAKEN = 0.01  # mm
-RELAXED = "coarse"  # some hundred times the work of Newton's method: coarse mesh, few increments
+NOISE = 0.01  # mm
+RELAXED = "coarse"  # about a hundred times the work of Newton's method: coarse mesh, few increments
 SETTINGS: dict[str, Setting] = {
     "default": DEFAULT,
     **{f"increment-{mm}": replace(_ONE, increment=float(mm)) for mm in (1, 2, 5, 10, 20)},
@@ -68,10 +68,10 @@ SETTINGS: dict[str, Setting] = {
     "exact": replace(_ONE, convex="never"),
     "convex": replace(_ONE, convex="always"),
     "relaxation": replace(_ONE, method="relaxation", size=RELAXED, increment=20.0),
-    "perturbed": replace(_ONE, perturbation=SHAKEN),
+    "perturbed": replace(_ONE, perturbation=NOISE),
     "friction-0.5+increment-20": replace(_ONE, friction=0.5, increment=20.0),
     "contact-10+fine": replace(_ONE, contact=10.0, size="fine"),
-    "perturbed+fine": replace(_ONE, perturbation=SHAKEN, size="fine"),
+    "perturbed+fine": replace(_ONE, perturbation=NOISE, size="fine"),
 }
 USUAL = 5.0  # mm: the largest increment where the program chooses
 SEEDS = 5
@@ -92,7 +92,7 @@ class Cell:
 
 
 def cells(scenes: list[str], settings: list[str]) -> dict[tuple[str, str], Cell]:
-    """Cells of the map by scene and name of the setting; those that do not apply are missing."""
+    """Cells of the map by scene and name of the setting, as far as they apply."""
     return {
         (scene, name): Cell(scene, SETTINGS[name])
         for scene in scenes
@@ -102,9 +102,9 @@ def cells(scenes: list[str], settings: list[str]) -> dict[tuple[str, str], Cell]
 
 
 def seeds(scenes: list[str]) -> list[Cell]:
-    """Perturbed starts of the wrinkled scenes, one a seed."""
+    """Perturbed starts of the wrinkled scenes, one per seed."""
     return [
-        Cell(scene, replace(_ONE, perturbation=SHAKEN, seed=seed))
+        Cell(scene, replace(_ONE, perturbation=NOISE, seed=seed))
         for scene in SEEDED
         if scene in scenes
         for seed in range(SEEDS)
@@ -112,18 +112,18 @@ def seeds(scenes: list[str]) -> list[Cell]:
 
 
 def rechecks(setting: Setting) -> tuple[Setting, Setting]:
-    """Solves of the same problem to hold a certified cell against where the map has none.
+    """Solves of the same problem that check a certified cell if the map has none.
 
     From a perturbed start (or, if it had one, from none), and with half the increment.
     """
     plain = replace(setting, estimate=False, convex="on demand", method="newton", seed=0)
     return (
-        replace(plain, perturbation=0.0 if setting.perturbation else SHAKEN),
+        replace(plain, perturbation=0.0 if setting.perturbation else NOISE),
         replace(plain, increment=0.5 * (setting.increment or USUAL)),
     )
 
 
-def tells(check: Setting, setting: Setting) -> bool:
+def is_check(check: Setting, setting: Setting) -> bool:
     """Whether a solve is a check of another one: same problem, perturbed start or finer increment.
 
     A perturbed start is checked by an unperturbed one too.

@@ -1,6 +1,5 @@
 """Numerical study 2 of Schäfer et al. (Fig. 4): three punches, two fibre orientations."""
 
-import csv
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +16,9 @@ from quasiform.net.edges import disc
 from quasiform.result.measures import percentile
 from quasiform.scenes import scene_file
 from quasiform.scenes.scene_file import Form, Region
+from validation.bands import Measured
 from validation.run import Outcome
+from validation.tables import read_table
 
 SHAPES, ORIENTATIONS = ("hemisphere", "tetrahedron", "box"), (0, 45)
 SIZE, COARSE = 5.0, 10.0  # mm
@@ -25,7 +26,7 @@ AREAS = {"green": "#3a9d4e", "blue": "#2f6fb7", "pink": "#d86aa5"}
 MEASURED = Path(__file__).with_name("measured_areas.csv")
 HEAVIER = 10.0  # kg, twice the assumed mass of the box's holder
 OPENING = 65.0  # mm: half the box's die opening with its fillet
-# places in the box's flange that the paper names, by the direction seen from the middle
+# regions of the box's flange that the paper names, by the direction from the middle
 NAMED = {
     0: ("between the diagonals", lambda off: off > 22.5),
     45: ("on the diagonals", lambda off: off < 22.5),
@@ -33,7 +34,7 @@ NAMED = {
 
 
 def run(quick: bool) -> Outcome:
-    """Six configurations (two in quick), what is stated of them, and what hangs on what."""
+    """Six configurations (two in the quick suite), statements on them, and influences."""
     shapes, size = (("hemisphere",), COARSE) if quick else (SHAPES, SIZE)
     results = {
         (shape, orientation): qf.refine(qf.forming(shape, orientation, size=size))
@@ -80,39 +81,37 @@ def run(quick: bool) -> Outcome:
 
 
 def measured_areas() -> dict[str, float]:
-    """Measured mean shear angles by the name of their row, where somebody has filled them in."""
-    with MEASURED.open(newline="", encoding="utf-8") as file:
-        return {
-            row["name"]: float(row["value"]) for row in csv.DictReader(file) if row["value"].strip()
-        }
+    """Measured mean shear angles by the name of their row, as far as they are known."""
+    rows = read_table(MEASURED, Measured)
+    return {row.name: row.value for row in rows if row.value is not None}
 
 
 def _numbers(result: qf.Result, quick: bool) -> dict[str, float]:
-    """What is shown of every configuration."""
+    """Numbers of a configuration."""
     gamma, blank = np.abs(result.shear_angle), result.blank
     found = {
-        "reached": result.states[-1].travel,
+        "travel reached": result.states[-1].travel,
         "force": result.force,
         "largest angle": gamma.max(),
         "99th percentile": percentile(gamma, blank.areas, 0.99),
-        "place of the highest shear, off the bias of the fibres": _off_bias(result),
+        "angle between the highest shear and the bias of the fibres": _off_bias(result),
     }
     if not quick:
         found["size of the mesh at the end"] = result.model.size
     for name, value in result.estimate.items():
         if name in ("force_N", "shear_angle_deg") and value is not None:
-            words = {"force_N": "force", "shear_angle_deg": "99th percentile"}[name]
-            found[f"estimated error of the {words}"] = value
+            title = {"force_N": "force", "shear_angle_deg": "99th percentile"}[name]
+            found[f"estimated error of the {title}"] = value
     found |= {f"measured mean angle, {name}": value for name, value in result.areas.items()}
     found |= {f"measured draw-in {side}": value for side, value in result.draw_in.items()}
     bend = result.wrinkles["largest_curvature_1_per_mm"]
-    found["largest curvature over that of the sharpest tool"] = bend * _mid(result.model)
-    found["lift of the sheet off the die's face"] = result.wrinkles["flange_lift_mm"]
+    found["largest curvature divided by that of the sharpest tool"] = bend * _mid(result.model)
+    found["lift of the flange above the die's face"] = result.wrinkles["flange_lift_mm"]
     return found
 
 
 def _off_bias(result: qf.Result) -> float:
-    """Median angle, seen from the middle, between the top 1 % of the area and the nearest bias."""
+    """Median angle, from the middle, between the most sheared 1 % and the nearest bias."""
     gamma, blank = np.abs(result.shear_angle), result.blank
     top = gamma >= percentile(gamma, blank.areas, 0.99)
     a, b = blank.centroids[top] @ blank.warp, blank.centroids[top] @ blank.weft
@@ -120,32 +119,32 @@ def _off_bias(result: qf.Result) -> float:
 
 
 def _box(result: qf.Result, orientation: int) -> dict[str, float]:
-    """What the paper says of the box: bands in places of the flange, wrinkles in the gap."""
+    """Statements of the paper on the box: bands in the flange, wrinkles in the gap."""
     blank = result.blank
     x, y, _ = result.positions()[blank.triangles].mean(1).T
     off = np.abs(np.degrees(np.arctan2(np.abs(y), np.abs(x))) - 45.0)  # from the diagonals
-    words, inside = NAMED[orientation]
+    region, inside = NAMED[orientation]
     flange = np.maximum(np.abs(x), np.abs(y)) > OPENING
     named = flange & inside(off)
     unstable = result.doubts()["unstable_in_shear"]
     gamma = np.abs(result.shear_angle)
     found = {
-        f"share of the flange {words} where bands can form": 100
+        f"share of the flange {region} where bands can form": 100
         * float(blank.areas[named] @ unstable[named] / blank.areas[named].sum()),
-        f"largest angle in the flange {words}": gamma[named].max(),
+        f"largest angle in the flange {region}": gamma[named].max(),
     }
     scene, end = result.model, result.states[-1].x
     bending = next(term for term in scene.terms if isinstance(term, Bending))
     bend = np.abs(bending.curvature(end)).max(1)
-    at = bending.nodes[:, 0]
+    at = (bending.dofs[:, 0] - scene.sheet.dofs[0, 0]) // 3
     place = scene.sheet.positions(end)[at]
     reach = np.abs(scene.sheet.to_user(place[:, :2])).max(1)
     touched = sum(contact.nodal_force(end) for contact in scene.contacts)[at] > 0
     gap = ~touched & (reach < OPENING) & (place[:, 2] < 0)
-    found["largest curvature in the gap over that of the sharpest tool"] = bend[gap].max() * _mid(
-        scene
-    )
-    found["place of the largest curvature, from the middle"] = reach[bend.argmax()]
+    found["largest curvature in the gap divided by that of the sharpest tool"] = bend[
+        gap
+    ].max() * _mid(scene)
+    found["position of the largest curvature, from the middle"] = reach[bend.argmax()]
     return found
 
 
@@ -155,11 +154,11 @@ def _mid(scene: qf.Model) -> float:
     return radius + scene.sheet.fabric.thickness / 2
 
 
-# What hangs on the assumed numbers
+# Influence of the assumed numbers
 
 
 def _box_under(mass: float) -> scene_file.SceneFile:
-    """The box test under another holder."""
+    """The box test with another mass of the holder."""
     file = scene_file.load("box")
     tools = [replace(part, mass=mass) if part.role == "holder" else part for part in file.tools]
     return replace(file, tools=tools)
@@ -173,7 +172,7 @@ def _hemisphere(
     mass: float = 5.0,
     travel: float = 75.0,
 ) -> scene_file.SceneFile:
-    """The hemisphere test with other numbers; as they are, it is the built-in scene."""
+    """The hemisphere test with other numbers; the defaults give the built-in scene."""
     file = scene_file.load("hemisphere")
     opening = Form("round opening", (radius + gap, fillet))
     shapes = {"punch": Form("round punch", (radius,)), "die": opening, "holder": opening}
@@ -186,7 +185,7 @@ def _hemisphere(
 
 
 def _changes() -> dict[str, tuple[dict[str, float], dict[str, float]]]:
-    """Quantities over those of the scene as it is, less 1, in per cent, for -10 % and +10 %."""
+    """Changes of the quantities in per cent, for -10 % and +10 % of each assumed number."""
 
     def quantities(file: scene_file.SceneFile, fabric: qf.Fabric = qf.Fabric()) -> dict[str, float]:  # noqa: B008
         result = qf.solve(qf.forming(file, 0, fabric, COARSE), estimate=False)
@@ -213,7 +212,7 @@ def _changes() -> dict[str, tuple[dict[str, float], dict[str, float]]]:
     runs["compaction"] = lambda factor: quantities(
         _hemisphere(), replace(fabric, compaction=factor * fabric.compaction)
     )
-    runs["place of the areas"] = lambda factor: _shown(base, factor)
+    runs["position of the areas"] = lambda factor: _shown(base, factor)
     return {
         name: tuple(
             {key: 100 * (value / reference[key] - 1) for key, value in of(factor).items()}
@@ -273,8 +272,8 @@ def _contours(results: dict) -> Figure:
             axes.set_title(_title(shape, orientation, result))
             axes.set_aspect("equal")
             axes.set(xlim=(-160, 160), ylim=(-160, 160), xticks=[], yticks=[])
-        words = {"label": "shear angle |γ| in °", "shrink": 0.6, "extend": "max"}
-        figure.colorbar(drawn, ax=panels, **words)
+        scale = {"label": "shear angle |γ| in °", "shrink": 0.6, "extend": "max"}
+        figure.colorbar(drawn, ax=panels, **scale)
     return figure
 
 
@@ -304,11 +303,11 @@ def _forces(results: dict) -> Figure:
         for (shape, orientation), result in results.items():
             history = result.history
             style = {"color": colours[shape], "linestyle": "-" if orientation == 0 else "--"}
-            words = _title(shape, orientation, result)
-            axes.plot(history["travel_mm"], history["force_N"], label=words, **style)
+            label = _title(shape, orientation, result)
+            axes.plot(history["travel_mm"], history["force_N"], label=label, **style)
             error = result.estimate["force_N"]
             if error is not None:
-                at = result.states[-1].travel + 0.01 * orientation  # beside each other
+                at = result.states[-1].travel + 0.01 * orientation  # next to each other
                 axes.errorbar(at, result.force, error, capsize=3, **style)
         axes.set(xlabel="punch travel in mm", ylabel="punch force in N", ylim=(0, None))
         axes.legend(loc="upper left")
@@ -329,8 +328,8 @@ def _bars(results: dict, measured: dict[str, float]) -> Figure:
                     axes.plot(at, measured[row], "kD", markersize=4)
         titles = [f"{shape}\n{orientation}°" for shape, orientation in results]
         axes.set_xticks(range(len(results)), titles)
-        words = "; diamonds: measured" if measured else " (no measured values yet)"
-        axes.set(ylabel="mean |γ| in °", ylim=(0, None), title=f"green, blue and pink areas{words}")
+        note = "; diamonds: measured" if measured else " (no measured values yet)"
+        axes.set(ylabel="mean |γ| in °", ylim=(0, None), title=f"green, blue and pink areas{note}")
     return figure
 
 
@@ -349,13 +348,13 @@ def _tornado(changes: dict) -> Figure:
             axes.set_title(key)
             axes.set_yticks(range(len(names)), names)
         panels[0].invert_yaxis()
-        words = "change in % (upper, red: the number 10 % smaller; lower, blue: 10 % larger)"
-        figure.supxlabel(words, fontsize=8)
+        label = "change in % (upper, red: the number 10 % smaller; lower, blue: 10 % larger)"
+        figure.supxlabel(label, fontsize=8)
     return figure
 
 
 def _comparison(results: dict, measured: dict[str, float]) -> list[str]:
-    """Sentences on the paper's criterion, a mean within 10 % of the measured one."""
+    """Notes on the paper's criterion, a mean within 10 % of the measured one."""
     notes = []
     for (shape, orientation), result in results.items():
         if result.reason:
@@ -379,7 +378,7 @@ def _comparison(results: dict, measured: dict[str, float]) -> list[str]:
                 )
     if not measured:
         notes.append(
-            "No measured mean angle is in `measured_areas.csv`: the paper's criterion of 10 % waits"
-            " for somebody who has them."
+            "`measured_areas.csv` has no measured mean angle yet: the paper's criterion of 10 % "
+            "cannot be checked."
         )
     return notes

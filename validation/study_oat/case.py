@@ -17,7 +17,7 @@ from quasiform.scenes.fabric_tests import off_axis_zones
 from validation.run import Outcome
 
 LENGTH, STRIP, U_MAX = 320.0, 160.0, 80.0
-U_DIV = {45: 55.0, 30: 25.0}  # where the paper's forces leave the measured ones
+U_DIV = {45: 55.0, 30: 25.0}  # where the paper's forces diverge from the measured ones
 U_ABORT = {"best-fit": 30.0, "locking": 58.0}  # where its runs at 30° end
 LAWS = {"best-fit": SECOND, "locking": FIRST}
 NOTE = {"rotation": 90, "ha": "right", "va": "top", "fontsize": 6, "color": "0.4"}
@@ -25,17 +25,17 @@ KINEMATICS = {angle: theory.OffAxisTension(LENGTH, STRIP, np.radians(angle)) for
 
 
 def run(quick: bool) -> Outcome:
-    """Both tests with both sets to 80 mm, and the way from the forces back to the law."""
+    """Both tests with both sets to 80 mm, and the identification of the law from the forces."""
     _tension.cache_clear()
     found = _round_trip() | _at_45() | _at_30(quick)
     notes = [
-        "The identification starts from forces made with Table 1: it shows that the method returns "
-        "the law it was given, not that the law is that of the fabric.",
-        "A flagged collapse is the first triangle beyond 85°, and the run goes on; an explicit run "
-        "aborts where an element has lost its area or its stable time step, which comes later.",
+        "The identification starts from forces computed with Table 1: it shows that the method "
+        "returns this law, not that the law is that of the fabric.",
+        "A flagged collapse is the first triangle beyond 85°, and the run continues; an explicit "
+        "run aborts where an element has lost its area or its stable time step, which comes later.",
     ]
     figures = {
-        "Forces and strains in the centre (layout of Fig. 3 a); grey: the theory of inextensible "
+        "Forces and strains in the centre (layout of Fig. 3 a); grey: theory for inextensible "
         "fibres": _histories(),
         "Shear angle and transverse strain with the locking set (layout of Fig. 3 b)": _contours(),
     }
@@ -54,7 +54,7 @@ def _tension(angle: int, law: str) -> qf.Result:
 
 
 def _round_trip() -> dict[str, float]:
-    """Forces made from Table 1, the law identified from them, and the forces of that law."""
+    """Forces from Table 1, the law identified from them, and the forces of that law."""
     fabric, strip = qf.Fabric.preset("best-fit"), OffAxis()
     D, _ = strip.net.chord
     gamma = np.radians(np.linspace(0.5, 57.5, 300))
@@ -67,14 +67,14 @@ def _round_trip() -> dict[str, float]:
         ("six parameters", "fit"),
         ("as printed", "as-printed"),
     ):
-        test = ShearTest("made from Table 1", strip, Curve(force, u, None, 1e-6 * force))
+        test = ShearTest("computed from Table 1", strip, Curve(force, u, None, 1e-6 * force))
         identified = qf.identify(
-            Campaign("Table 1", fabric, (test,), method=method, standing="made up")
+            Campaign("Table 1", fabric, (test,), method=method, standing="generated")
         )
         laws[name] = identified.fabric
         off = identified.fabric.shear.stress(I6) / fabric.shear.stress(I6) - 1
         if name != "as printed":
-            found[f"round trip, {name}: largest error of S12 from 2 to 57 deg"] = (
+            found[f"identified again, {name}: largest error of S12 from 2 to 57 deg"] = (
                 100 * np.abs(off).max()
             )
     for name, law in laws.items():
@@ -82,10 +82,10 @@ def _round_trip() -> dict[str, float]:
         made = np.interp(history["displacement_mm"][1:], u, force)
         off = 100 * (history["force_N"][1:] / made - 1)
         if name == "as printed":
-            found["as printed: elements over the forces it came from, least"] = off.min()
-            found["as printed: elements over the forces it came from, most"] = off.max()
+            found["Eq. 10 as printed: smallest deviation of the force"] = off.min()
+            found["Eq. 10 as printed: largest deviation of the force"] = off.max()
         else:
-            found[f"round trip, {name}: force of the elements to u=45"] = np.abs(off).max()
+            found[f"identified again, {name}: force of the elements to u=45"] = np.abs(off).max()
     return found
 
 
@@ -99,11 +99,13 @@ def _at_45() -> dict[str, float]:
         exact = ideal.force(u[to_45], fabric.shear.stress, fabric.thickness)
         gamma = np.degrees(ideal.angles(u[to_45])[0])
         centre = history["shear_angle_center_deg"]
-        found[f"45 deg, {law}: reached"] = u[-1]
-        found[f"45 deg, {law}: force to u=45"] = np.abs(
+        found[f"45 deg, {law}: displacement reached"] = u[-1]
+        found[f"45 deg, {law}: largest deviation of the force to u=45"] = np.abs(
             100 * (history["force_N"][to_45] / exact - 1)
         ).max()
-        found[f"45 deg, {law}: centre angle to u=45"] = np.abs(centre[to_45] - gamma).max()
+        found[f"45 deg, {law}: largest deviation of the centre angle to u=45"] = np.abs(
+            centre[to_45] - gamma
+        ).max()
         kinematic = np.degrees(ideal.angles(u[to_30])[0])
         found[f"45 deg, {law}: centre angle follows the kinematics to u=30"] = np.abs(
             centre[to_30] - kinematic
@@ -111,7 +113,7 @@ def _at_45() -> dict[str, float]:
         for at in (50, 55, 58):
             found[f"45 deg, {law}: force u={at}"] = history["force_N"][at]
         found[f"45 deg, {law}: centre angle u=80"] = centre[-1]
-        found[f"45 deg, {law}: E22 u=55"] = abs(history["E22_center"][55])
+        found[f"45 deg, {law}: transverse strain E22 u=55"] = abs(history["E22_center"][55])
         found[f"45 deg, {law}: first triangle beyond 85 deg"] = (
             result.collapse["travel_mm"] if result.collapse else np.inf
         )
@@ -123,7 +125,7 @@ def _at_45() -> dict[str, float]:
     found["45 deg: displacement where locking passes best-fit"] = beyond - stiffer[beyond] / (
         stiffer[beyond] - stiffer[beyond - 1]
     )
-    found["45 deg, u=65: angle of locking over that of best-fit"] = (
+    found["45 deg, u=65: centre angle with locking divided by that with best-fit"] = (
         locking["shear_angle_center_deg"][65] / best["shear_angle_center_deg"][65]
     )
     del found["45 deg, locking: first triangle beyond 85 deg"]  # none to 80 mm
@@ -138,16 +140,16 @@ def _at_30(quick: bool) -> dict[str, float]:
         history = result.history
         centre, largest = history["shear_angle_center_deg"], history["shear_angle_max_deg"]
         flagged = result.collapse["travel_mm"]
-        found[f"30 deg, {law}: reached"] = history["displacement_mm"][-1]
-        found[f"30 deg, {law}: first triangle beyond 85 deg, not after the abort"] = flagged
-        found[f"30 deg, {law}: first triangle beyond 85 deg, not before the exact net"] = flagged
+        found[f"30 deg, {law}: displacement reached"] = history["displacement_mm"][-1]
+        for bound in ("not after the abort", "not before the limit of inextensible fibres"):
+            found[f"30 deg, {law}: first triangle beyond 85 deg, {bound}"] = flagged
         found[f"30 deg, {law}: largest angle at the abort"] = largest[round(U_ABORT[law])]
         found[f"30 deg, {law}: centre angle at the abort"] = centre[round(U_ABORT[law])]
         found[f"30 deg, {law}: fibre strain E11 in the centre at the abort"] = history[
             "E11_center"
         ][round(U_ABORT[law])]
         found[f"30 deg, {law}: force u=25"] = history["force_N"][25]
-        found[f"30 deg, {law}: E22 u=25"] = abs(history["E22_center"][25])
+        found[f"30 deg, {law}: transverse strain E22 u=25"] = abs(history["E22_center"][25])
         for size in () if quick else (20.0, 5.0):
             other = qf.solve(
                 qf.off_axis_tension(30, law, displacement=40, size=size),
@@ -172,12 +174,12 @@ def _at_30(quick: bool) -> dict[str, float]:
     ):
         weight = result.blank.areas * zones[zone]
         mean = weight @ result.shear_angles(15) / weight.sum()
-        found[f"30 deg, u=15: mean angle of the zone, {zone}"] = mean - exact
+        found[f"30 deg, u=15: deviation of the mean angle in the zone, {zone}"] = mean - exact
     return found
 
 
 def _histories() -> Figure:
-    """Forces, shear angles and strains in the centre: a row for each test."""
+    """Forces, shear angles and strains in the centre, one row per test."""
     with rc_context(STYLE):
         figure = Figure(figsize=(WIDTH, 4.6), layout="constrained")
         for panels, (angle, ideal) in zip(figure.subplots(2, 3), KINEMATICS.items(), strict=True):
@@ -209,9 +211,9 @@ def _histories() -> Figure:
     return figure
 
 
-def _mark(axes: Axes, u: float, colour: str, words: str) -> None:
+def _mark(axes: Axes, u: float, colour: str, label: str) -> None:
     axes.axvline(u, color=colour, linestyle="-.", linewidth=0.8)
-    axes.annotate(words, (u + 6, 290), **NOTE | {"color": colour})
+    axes.annotate(label, (u + 6, 290), **NOTE | {"color": colour})
 
 
 def _contours() -> Figure:
@@ -241,9 +243,9 @@ def _contours() -> Figure:
                 axes.set(xticks=[], yticks=[])
                 axes.spines[:].set_visible(False)
             panels[row, 0].set_ylabel(f"{angle}°, u = {u:g} mm")
-        for column, words in enumerate(("shear angle |γ| in °", "transverse strain E22")):
+        for column, label in enumerate(("shear angle |γ| in °", "transverse strain E22")):
             place = {"location": "bottom", "shrink": 0.7, "aspect": 30}
             figure.colorbar(
-                drawn[column], ax=panels[:, column], label=words, extend="both", **place
+                drawn[column], ax=panels[:, column], label=label, extend="both", **place
             )
     return figure

@@ -1,4 +1,4 @@
-"""Quarter, half and whole sheet give one answer as long as the sheet keeps the symmetry."""
+"""Quarter, half and whole sheet give the same result as long as the sheet is symmetric."""
 
 import numpy as np
 
@@ -26,14 +26,22 @@ def values() -> dict[str, float]:
         case = f"{name} {orientation} deg"
         for symmetry, part in (("half", "half"), ("auto", "quarter")):
             run = runs[symmetry]
-            found[f"{case}, {part}: p99"] = abs(_p99(run) - _p99(whole))
-            found[f"{case}, {part}: force"] = abs(run.force / whole.force - 1)
-        found[f"{case}: saddles left by the whole sheet"] = whole.rescues.get("saddle left", 0)
+            found[f"{case}, {part}: difference of the 99th percentile"] = abs(
+                _p99(run) - _p99(whole)
+            )
+            found[f"{case}, {part}: relative difference of the force"] = abs(
+                run.force / whole.force - 1
+            )
+        found[f"{case}: saddle points left by the whole sheet"] = whole.rescues.get(
+            "saddle left", 0
+        )
     for part in ("half", "none"):
         run = qf.solve(qf.forming("tetrahedron", 0, size=10, symmetry=part), estimate=False)
-        found[f"tetrahedron 0 deg, {'whole' if part == 'none' else part}: p99"] = _p99(run)
+        found[f"tetrahedron 0 deg, {'whole' if part == 'none' else part}: 99th percentile"] = _p99(
+            run
+        )
     found["tetrahedron 45 deg: mirror planes"] = len(
-        qf.forming("tetrahedron", 45, size=20).blank.mirror
+        qf.forming("tetrahedron", 45, size=20).sheet.blank.mirror
     )
     return found
 

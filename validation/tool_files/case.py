@@ -1,4 +1,4 @@
-"""Punches from surface files against the same punches in closed form."""
+"""Punches from surface files compared with the same punches in closed form."""
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -29,9 +29,11 @@ def values() -> dict[str, float]:
                 d, n, _ = exact.distance(points)
                 d_file, n_file, _ = grid.distance(points)
                 case = f"{name}, grid {spacing:g} mm"
-                found[f"{case}: distance, p95"] = np.percentile(np.abs(d_file - d), 95)
-                found[f"{case}: distance, largest"] = np.abs(d_file - d).max()
-                found[f"{case}: normal, p95"] = np.percentile(
+                found[f"{case}: error of the distance, 95th percentile"] = np.percentile(
+                    np.abs(d_file - d), 95
+                )
+                found[f"{case}: error of the distance, largest"] = np.abs(d_file - d).max()
+                found[f"{case}: error of the normal, 95th percentile"] = np.percentile(
                     np.linalg.norm(n_file - n, axis=1), 95
                 )
             # the box before it buckles, and with elements small enough for contact at nodes alone
@@ -41,8 +43,10 @@ def values() -> dict[str, float]:
                 for scene in (name, _with_file(name, path))
             ]
             p99 = [percentile(np.abs(r.shear_angle), r.blank.areas, 0.99) for r in runs]
-            found[f"{name} formed: p99"] = abs(p99[1] - p99[0])
-            found[f"{name} formed: force"] = abs(runs[1].force / runs[0].force - 1)
+            found[f"{name} formed: difference of the 99th percentile"] = abs(p99[1] - p99[0])
+            found[f"{name} formed: relative difference of the force"] = abs(
+                runs[1].force / runs[0].force - 1
+            )
     return found
 
 
@@ -54,7 +58,7 @@ def _near(shape: Rounded) -> np.ndarray:
 
 
 def _with_file(name: str, path: Path) -> str:
-    """Write the scene with its punch from a file beside the punch; its path."""
+    """Write the scene with its punch from a file, next to that file; its path."""
     text = (scene_file.FOLDER / f"{name}.toml").read_text(encoding="utf-8")
     head, rest = text.split("[tools.punch]\n")
     _, rest = rest.split("[tools.die]", 1)
@@ -81,7 +85,7 @@ def _write(name: str, shape: Rounded, path: Path) -> None:
         box = occ.addBox(*low, *(high - low))
         _fillet(box, r, top=high[2])
     else:
-        # the sharp corners are where the faces, moved out again by the radius, meet
+        # sharp corners: the faces, moved out again by the radius, meet there
         _fillet(_solid(_grown(core, r)), r, top=np.inf)
     occ.synchronize()
     gmsh.option.setNumber("Mesh.MeshSizeFromCurvature", 120)
@@ -92,7 +96,7 @@ def _write(name: str, shape: Rounded, path: Path) -> None:
 
 
 def _grown(core: np.ndarray, r: float) -> np.ndarray:
-    """Corners of a solid whose faces stand off those of `core` by r."""
+    """Corners of a solid with the faces of `core` moved outwards by r."""
     from scipy.spatial import ConvexHull, HalfspaceIntersection
 
     faces = ConvexHull(core).equations - np.array([0.0, 0.0, 0.0, r])
@@ -115,7 +119,7 @@ def _solid(corners: np.ndarray) -> int:
 
 
 def _fillet(volume: int, r: float, top: float) -> None:
-    """Fillet all edges of a volume but those of its top face."""
+    """Fillet all edges of a volume except those of its top face."""
     occ = gmsh.model.occ
     occ.synchronize()
     edges = [tag for _, tag in occ.getEntities(1) if occ.getBoundingBox(1, tag)[2] < top - 1.0]
