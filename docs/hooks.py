@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import html
 import re
+import sys
 
 import griffe
 from latex2mathml.converter import convert
@@ -17,6 +18,11 @@ PRIMES = (
     ("<mi>&#x02032;</mi>", "<mo>&#x02032;</mo>"),
 )
 FORMULA = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.DOTALL)
+
+
+def on_startup(**_: object) -> None:
+    """Name the program in usage lines: cyclopts takes the running one, here the site builder."""
+    sys.argv[0] = "quasiform"
 
 
 def on_page_content(content: str, **_: object) -> str:

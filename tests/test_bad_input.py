@@ -26,6 +26,7 @@ from io import StringIO
 from itertools import count
 from pathlib import Path
 
+import jsonschema
 import matplotlib
 import meshio
 import numpy as np
@@ -33,10 +34,11 @@ import pytest
 from hypothesis import Phase, currently_in_test_context, given, note, settings
 from hypothesis import strategies as st
 
+from quasiform.checks import InputError
 from quasiform.console.cli import main
 from quasiform.fabric import Fabric
 from quasiform.result.files import FILES
-from quasiform.scenes.scene_file import FOLDER
+from quasiform.scenes.scene_file import FOLDER, json_schema, load, scene_toml
 
 SECONDS = 20.0  # of a case on the processor, and four times that on the clock
 HARD = 200.0  # of a case that does not come back from compiled code
@@ -437,6 +439,7 @@ BUILT_IN = [tomllib.loads(path.read_text("utf-8")) for path in sorted(FOLDER.glo
 HELD = {"supports": [{"side": "-x", "fix": "xyz"}], "outputs": {"pictures": False}}
 HELD["grippers"] = [{"side": "+x", "tension": 5.0, "stiffness": 0.1}]
 SCENES = [*BASES, *BUILT_IN, BASES[0] | HELD]
+JSON_SCHEMA = jsonschema.Draft202012Validator(json_schema())
 
 
 @cases(2.0)
@@ -453,6 +456,21 @@ def test_scenes_with_damaged_bytes_are_built_or_refused(place, content):
     folder = place()
     (folder / "scene.toml").write_bytes(content)
     run("scene bytes", folder, "form", "scene.toml", "--size", "20", "--dry-run")
+
+
+@cases(1.0)
+@given(scene=changed(SCENES))
+def test_scenes_that_are_read_are_written_back(place, scene):
+    place()
+    fits = JSON_SCHEMA.is_valid(tomllib.loads(toml(scene)))
+    Path("scene.toml").write_text(toml(scene), "utf-8")
+    try:
+        file = load("scene.toml")
+    except InputError:
+        return
+    assert fits  # an editor marks nothing that is read
+    Path("again.toml").write_text(scene_toml(file), "utf-8")
+    assert scene_toml(load("again.toml")) == scene_toml(file)
 
 
 def extreme(low, high):

@@ -22,6 +22,7 @@ from quasiform.identification.fit import NAMES, Unknowns, fit
 from quasiform.identification.inverse import Sheet
 from quasiform.identification.records import Curve
 from quasiform.identification.specimen import OffAxis, PictureFrame
+from quasiform.solve.newton import NotConvergedError
 from quasiform.theory import (
     OffAxisTension,
     heavy_elastica,
@@ -579,6 +580,15 @@ def test_elements_move_a_parameter_that_the_balance_left_at_zero():
     found = qf.identify(campaign, method="inverse")
     assert np.isfinite([intervals(found)[name] for name in NAMES]).all()
     assert states(found)["C_ini"] == states(found)["C_lo"] == "fitted"
+
+
+def test_a_test_without_equilibrium_at_the_start_is_refused(monkeypatch):
+    def fails(*_):
+        raise NotConvergedError("no equilibrium", np.zeros(1), 1.0)
+
+    monkeypatch.setattr(Sheet, "states", fails)
+    with pytest.raises(InputError, match="a test finds no equilibrium under the law"):
+        qf.identify(noisy_strip(0), method="inverse")
 
 
 # Campaign

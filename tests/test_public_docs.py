@@ -1,7 +1,7 @@
 """What a user may call is described: public names, parameters with their units, returns.
 
 The docstrings are numpydoc. A parameter counts as described by its own text, or by a type that says
-it all (`Scene`, `str or Fabric`, a choice in quotes).
+it all (`Model`, `str or Fabric`, a choice in quotes).
 """
 
 import inspect
@@ -13,7 +13,9 @@ import pytest
 import quasiform as qf
 
 ATTRIBUTE = property | cached_property
-TYPED = re.compile(r"Scene|Blank|Fabric|Result|Campaign|Journal|Progress|Comparison|Shape|path|\"")
+TYPED = re.compile(
+    r"Model|Sheet|Recipe|Blank|Fabric|Result|Campaign|Journal|Progress|Comparison|Shape|path|\""
+)
 UNITS = re.compile(
     r"\b(mm²?|N|MPa|mJ|kg|s|degrees?|radians|g/m²|mm/|N/mm[²³]?|unit|coefficient|factor|share|"
     r"fraction|relative|dimensionless|times|count|percent)\b|°|%|1/mm"
@@ -35,7 +37,7 @@ def described(text):
 def public():
     """Public callables by name: the functions and classes of the package, and their methods."""
     for name in qf.__all__:
-        thing = getattr(qf, name)
+        thing = inspect.unwrap(getattr(qf, name))  # the package `solve` is called like its function
         yield name, thing
         if inspect.isclass(thing) and not issubclass(thing, Exception):
             for key, member in vars(thing).items():

@@ -3,17 +3,13 @@
 An inextensible strip of length L (mm), weight w per area (N/mm²) and bending stiffness B per width
 (N mm; B11 of strips along the warp, B22 along the weft) leaves the clamp horizontally. Its shape,
 the heavy elastica (`theory.heavy_elastica`), depends on k = w L³/B alone. Every function finds k
-from the measurement and returns B = w L³/k. Peirce's own formula [1]_ approximates the same curve
-by the angle θ of the chord from the edge of the clamp to the tip and the bending length c::
+from the measurement and returns B = w L³/k. Peirce (J. Text. Inst. 21 (1930) T377) approximates the
+same curve, for the angle θ of the chord from the edge of the clamp to the tip, by::
 
     B = w c³,   c = L [cos(θ/2)/(8 tan θ)]^(1/3)
 
-It is above the exact B by 1.3 % at 20°, 5.7 % at 41.5° and 14 % at 60°. The rule of testers with
-a slope of 41.5°, c = L/2, is not that formula but nearly exact: k = 8 instead of 8.0042.
-
-References
-----------
-.. [1] F. T. Peirce, The "handle" of cloth as a measurable quantity, J. Text. Inst. 21 (1930) T377.
+It is above the exact B by 1.3 % at 20°, 5.7 % at 41.5° and 14 % at 60°. The rule of testers with a
+slope of 41.5°, c = L/2, is not that formula but nearly exact: k = 8 instead of 8.0042.
 """
 
 from __future__ import annotations
@@ -93,9 +89,8 @@ def from_tip(x: Numbers, drop: Numbers, length: Numbers, areal_weight: float) ->
     _check_reach("tip", x, drop, L)
     fits = [_fit(lambda k, tip=tip: _curve(k)(1.0) - tip) for tip in np.c_[x / L, drop / L]]
     k, misfit = np.array([(k, np.linalg.norm(distance)) for k, distance, _ in fits]).T
-    classical = np.mean(w * L**3 / _peirce(np.arctan2(drop, x)))
-    rms = np.sqrt(np.mean((L * misfit) ** 2))
-    return Stiffness(*_mean(w * L**3 / k), float(classical), float(rms))
+    classical, rms = w * L**3 / _peirce(np.arctan2(drop, x)), np.sqrt(np.mean((L * misfit) ** 2))
+    return Stiffness(*_mean(w * L**3 / k), float(np.mean(classical)), float(rms))
 
 
 def from_profile(x: FloatArray, drop: FloatArray, areal_weight: float, length: float) -> Stiffness:
@@ -118,8 +113,9 @@ def from_profile(x: FloatArray, drop: FloatArray, areal_weight: float, length: f
     B, squares = w * L**3 / k, distances @ distances
     deviation = np.sqrt(squares / (len(x) - 1) / (slope @ slope))  # of log k, hence relative
     classical = w * L**3 / _peirce(_chord(k))
-    misfit = L * np.sqrt(squares / len(x))
-    return Stiffness(B, float(B * deviation), float(classical), float(misfit))
+    return Stiffness(
+        B, float(B * deviation), float(classical), float(L * np.sqrt(squares / len(x)))
+    )
 
 
 def _peirce(angle: FloatArray) -> FloatArray:

@@ -3,15 +3,10 @@
 The power balance (`specimen`) is linear in S12. The paper solves it by recursion from γ/2 to γ
 (Eq. 10), which passes the noise at each angle on to twice that angle. Here the same equation is
 solved for all rows and tests at once: S12 is a cubic spline in I6 = sin γ that increases from zero
-and fits the forces by least squares, with a penalty on its curvature. The penalty is the total
-variation of the second derivative relative to the stress (locally adaptive regression splines
-[1]_), which keeps a sharp onset of locking sharp. Its weight follows from generalised
-cross-validation with the safety factor of [2]_. The least squares with signs are scipy's `nnls`.
-
-References
-----------
-.. [1] E. Mammen, S. van de Geer, Annals of Statistics 25 (1997) 387-413.
-.. [2] Y.-J. Kim, C. Gu, Journal of the Royal Statistical Society B 66 (2004) 337-356.
+and fits the forces by least squares with signs (scipy's `nnls`) and a penalty on its curvature, the
+total variation of the second derivative relative to the stress. It keeps a sharp onset of locking
+sharp (Mammen, van de Geer, Annals of Statistics 25 (1997) 387). Generalised cross-validation with
+the safety factor of Kim, Gu (J. R. Statist. Soc. B 66 (2004) 337) gives its weight.
 """
 
 from __future__ import annotations

@@ -22,6 +22,7 @@ from .energy_method import StressCurve, energy_method
 from .fit import Fit, Parameter, fit
 from .inverse import identify_by_elements
 
+STRESS = ("shear_angle_deg", "S12_MPa", "S12_low_MPa", "S12_high_MPa", "S12_law_MPa")
 FILES = ("material.toml", "parameters.csv", "stress.csv", "summary.json", "identification.png")
 
 
@@ -99,13 +100,8 @@ class Identification:
         gamma = np.linspace(self.curve.low, self.curve.high, n)
         I6 = np.minimum(np.sin(np.radians(gamma)), self.curve.spline.t[-1])
         S, half = self.curve.stress(I6), 2.0 * self.curve.deviation(I6)
-        return {
-            "shear_angle_deg": gamma,
-            "S12_MPa": S,
-            "S12_low_MPa": np.maximum(S - half, 0),
-            "S12_high_MPa": S + half,
-            "S12_law_MPa": self.fabric.shear.stress(I6),
-        }
+        columns = gamma, S, np.maximum(S - half, 0), S + half, self.fabric.shear.stress(I6)
+        return dict(zip(STRESS, columns, strict=True))
 
 
 def identify(source: str | Path | Campaign, **given: Any) -> Identification:
@@ -222,12 +218,9 @@ def _provenance(
         "quasiform": package_version(),
     }
     if curve is not None:
-        entries |= {
-            "algorithm": campaign.algorithm,
-            "tested_from_deg": round(curve.low, 3),
-            "tested_to_deg": round(curve.high, 3),
-            "force_misfit_percent": float(f"{100 * (fitted or curve).misfit:.3g}"),
-        }
+        entries["algorithm"] = campaign.algorithm
+        entries |= {"tested_from_deg": round(curve.low, 3), "tested_to_deg": round(curve.high, 3)}
+        entries["force_misfit_percent"] = float(f"{100 * (fitted or curve).misfit:.3g}")
     if campaign.keep:
         entries["kept"] = ", ".join(f"{k} = {v:g}" for k, v in campaign.keep.items())
     for number, path in enumerate(campaign.sources, start=1):

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import scipy as sp  # its parts load when they are used
@@ -77,18 +78,11 @@ class Sheet:
     """
 
     def __init__(
-        self,
-        specimen: OffAxis,
-        curve: Curve,
-        forces: Forces,
-        fabric: Fabric,
-        size: float,
-        law: ThreeStageLaw,
+        self, specimen: OffAxis, curve: Curve, forces: Forces, fabric: Fabric, size: float, law: Any
     ) -> None:
         def balance(u: FloatArray) -> Forces:
             """The power balance with the kinematic angle, even where another was measured."""
-            shares, angles = specimen.shares(Curve(u, u, None, u), fabric.thickness)
-            return Forces(u, u, shares, angles)
+            return Forces(u, u, *specimen.shares(Curve(u, u, None, u), fabric.thickness))
 
         self.curve, self.fabric, self.force, self.sigma = curve, fabric, forces.force, forces.sigma
         u = specimen.displacement(curve)

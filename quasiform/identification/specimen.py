@@ -109,13 +109,13 @@ class PictureFrame:
         """
         if curve.shear_angle is not None:
             return _checked(curve.shear_angle)
-        half = (np.sqrt(2.0) * self.side + curve.displacement) / (2.0 * self.side)
-        if half.max() >= 1.0:
+        u, limit = curve.displacement, (2 - np.sqrt(2.0)) * self.side
+        if u.max() >= limit:
             raise InputError(
-                f"the displacement reaches {curve.displacement.max():.4g} mm, but the frame closes "
-                f"at {(2 - np.sqrt(2.0)) * self.side:.4g} mm: check the side of the frame"
+                f"the displacement reaches {u.max():.4g} mm, but the frame closes at {limit:.4g} "
+                "mm: check the side of the frame"
             )
-        return np.pi / 2 - 2.0 * np.arccos(half)
+        return np.pi / 2 - 2.0 * np.arccos(np.sqrt(0.5) + u / (2.0 * self.side))
 
     def shares(self, curve: Curve, thickness: float, as_printed: bool = False) -> Shares:
         """Share of the only zone in the force, (1, n) in mm², and its angle, (1, n) in radians.
