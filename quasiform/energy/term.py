@@ -64,7 +64,7 @@ class Term:
         raise NotImplementedError
 
     def hessian(self, x: FloatArray, state: Any, convex: bool) -> FloatArray:
-        """(n_stencils, n_local, n_local) second derivatives, N/mm; with `convex` nearby semi-definite."""
+        """(n_stencils, n_local, n_local) second derivatives, N/mm; `convex`: semi-definite."""
         raise NotImplementedError
 
     def initial(self, x: FloatArray) -> Any:
