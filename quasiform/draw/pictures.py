@@ -257,21 +257,9 @@ def _draw_scale(
 def level_lines(
     x: FloatArray, triangles: np.ndarray, values: FloatArray, levels: Sequence[float]
 ) -> FloatArray:
-    """Lines on which a function, linear in each triangle, has one of some values.
+    """Segments (k, 2, d) on which a function, linear in each triangle, has one of some values.
 
-    Parameters
-    ----------
-    x : (n, d) array
-        Points.
-    triangles : (m, 3) int array
-    values : (n,) array
-        Of the function at the points.
-    levels : list of float
-
-    Returns
-    -------
-    (k, 2, d) array
-        Segments, one for each triangle and each level that crosses it.
+    x (n, d) are the points and values (n,) those of the function there.
 
     Examples
     --------
@@ -375,7 +363,7 @@ def _outlines(
 
 def _forces(runs: Sequence[Record], labels: Sequence[str], end: float, notes: list[str]) -> Figure:
     """Force over travel of all runs in one panel."""
-    figure = plot.new_figure(3.3)
+    figure, shown = plot.new_figure(3.3), []
     axes = figure.subplots()
     for k, (label, run) in enumerate(zip(labels, runs, strict=True)):
         if "force_N" not in run.history:
@@ -384,6 +372,7 @@ def _forces(runs: Sequence[Record], labels: Sequence[str], end: float, notes: li
         look = {"marker": MARKS[k % len(MARKS)], "markersize": 3.5, "clip_on": True}
         label = plot.plain(label)
         plot.draw_force(axes, run, look | _stroke(k), label, f"{label}: collapsed")
+        shown.append(run)
     if any(line.get_markerfacecolor() == "white" for line in axes.lines):
         hollow = {"marker": "o", "markersize": 3.5, "markerfacecolor": "white", "color": "0.4"}
         axes.plot([], [], ls="", label="hollow: on a\ncoarser mesh", **hollow)
@@ -391,6 +380,10 @@ def _forces(runs: Sequence[Record], labels: Sequence[str], end: float, notes: li
     axes.set_xlabel(f"{' or '.join(name.replace('_', ' ') for name in names)} in mm")
     axes.set_ylabel("force in N")
     axes.set_xlim(left=0.0)
+    sound = [run.history["force_N"][: plot.sound_rows(run)] for run in shown]
+    low, high = (f(np.concatenate([*sound, [0.0]])) for f in (np.min, np.max))
+    if high > low and any(run.summary.get("collapse") for run in shown):
+        axes.set_ylim(1.05 * low - 0.05 * high, 1.5 * high - 0.5 * low)  # of what means something
     if axes.get_legend_handles_labels()[0]:
         figure.legend(loc="outside right upper")
     return figure
