@@ -27,11 +27,6 @@ def merged(vertices: FloatArray, triangles: np.ndarray) -> tuple[FloatArray, np.
     """Merge vertices nearer than `MERGED`, drop triangles that lose a side and unused vertices.
 
     Returns the vertices, the triangles and what was done beside the merging of equal vertices.
-
-    Raises
-    ------
-    InputError
-        For coordinates that are not finite, or if no triangle has an area.
     """
     check_numbers(vertices, triangles)
     vertices, index = np.unique(vertices, axis=0, return_inverse=True)
@@ -124,12 +119,13 @@ def oriented(vertices: FloatArray, triangles: np.ndarray) -> np.ndarray:
 def _small_holes(vertices: FloatArray, triangles: np.ndarray) -> list[list[int]]:
     """Vertices about each hole that may be filled, in the sense of the triangles beside it."""
     area = np.linalg.norm(normals_of(vertices[triangles]), axis=1).sum()
-    small = []
-    for ring in (ring for loop in holes_of(vertices, triangles) for ring in rings_of(loop)):
-        edges = np.stack([ring, np.roll(ring, -1)], axis=1)
-        if len(ring) <= FILLED[0] and _enclosed(vertices, edges) < FILLED[1] * area:
-            small.append(ring)
-    return small
+    return [
+        ring
+        for loop in holes_of(vertices, triangles)
+        for ring in rings_of(loop)
+        if len(ring) <= FILLED[0]
+        and _enclosed(vertices, np.stack([ring, np.roll(ring, -1)], axis=1)) < FILLED[1] * area
+    ]
 
 
 def rings_of(edges: np.ndarray) -> list[list[int]]:
@@ -213,9 +209,7 @@ def edges_of(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     """Edges (k, 2), how many triangles share each, and the sum of the senses (±1) they run in."""
     ends = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
     key = ends.min(1) * (ends.max() + 1) + ends.max(1)
-    _, first, index, count = np.unique(
-        key, return_index=True, return_inverse=True, return_counts=True
-    )
+    _, first, index, count = np.unique(key, True, True, True)  # where, inverse, counts
     return ends[first], count, np.bincount(index, np.sign(ends[:, 1] - ends[:, 0]))
 
 
@@ -227,10 +221,9 @@ def normals_of(corners: FloatArray) -> FloatArray:
 def holes_of(vertices: FloatArray, triangles: np.ndarray) -> list[np.ndarray]:
     """Edges (k, 2) of each hole of a surface, which may be open at one outer rim."""
     area = np.linalg.norm(normals_of(vertices[triangles]), axis=1).sum()
-    loops = loops_of(vertices, triangles)
-    return [
-        loop for i, loop in enumerate(loops) if i > 0 or _enclosed(vertices, loop) < PINHOLE * area
-    ]
+    outer, *loops = loops_of(vertices, triangles) or [np.empty((0, 2), int)]
+    pinhole = len(outer) and _enclosed(vertices, outer) < PINHOLE * area
+    return [outer, *loops] if pinhole else loops
 
 
 def loops_of(vertices: FloatArray, triangles: np.ndarray) -> list[np.ndarray]:

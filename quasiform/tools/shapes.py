@@ -92,7 +92,6 @@ class Rounded:
 
     @property
     def sharpest(self) -> float:
-        """Smallest radius of curvature, mm."""
         return self.radius
 
     @cached_property
@@ -183,7 +182,6 @@ class Opening:
 
     @property
     def sharpest(self) -> float:
-        """Smallest radius of curvature, mm."""
         return self.fillet
 
     def distance(self, points: FloatArray) -> Distance:
@@ -302,14 +300,8 @@ def tetrahedron_punch(
 ) -> Rounded:
     """Return a tetrahedron on its tip with filleted edges, the lowest point of the fillet at z = 0.
 
-    Parameters
-    ----------
-    base_edge, height : float
-        Equilateral base (above) and height before rounding, mm.
-    edge_radius : float
-        Of edges and tip, mm.
-    azimuth : float
-        Direction of one of the three edges that run up from the tip, degrees from x.
+    Equilateral base (above) and height are those before rounding, mm; the azimuth is the direction
+    of one of the three edges that run up from the tip, degrees from x.
     """
     from scipy.spatial import ConvexHull
 
@@ -330,12 +322,8 @@ def tetrahedron_punch(
 def opening(corners: FloatArray, corner_radius: float, fillet: float) -> Opening:
     """Return a plate with an opening whose section is a convex polygon with rounded corners.
 
-    Parameters
-    ----------
-    corners : (n, 2) array
-        Corners of the section before rounding, mm, counter-clockwise; one makes it round.
-    corner_radius, fillet : float
-        Of the section and of the upper edge, mm.
+    The corners (n, 2) before rounding, mm, turn counter-clockwise; one makes a round opening. The
+    fillet is that of the upper edge.
     """
     corners = np.atleast_2d(np.asarray(corners, dtype=float))
     check_number("corner_radius" if len(corners) > 1 else "radius", corner_radius)

@@ -38,6 +38,7 @@ CAD = {".step": "step", ".stp": "step", ".iges": "iges", ".igs": "iges", ".brep"
 KINDS = (".stl", ".obj", *MESHIO, *CAD)
 MEMORY = 500_000_000  # bytes for reading a mesh, beside a hundred times its file
 PATIENCE = 120.0  # s, for a CAD file
+CUT_OFF = "the file is cut off, {}: export or copy it anew"
 CAD_MESH = Path(__file__).with_name("cad.py")
 
 
@@ -91,25 +92,10 @@ def read_surface(path: str | Path, scale: float = 1.0) -> Surface:
     """Read a surface; nothing is printed and no file is left behind.
 
     Polygons are split into triangles, other cells ignored. STEP and IGES (in mm by their own unit)
-    and BREP are meshed by gmsh, finer where they are curved.
+    and BREP are meshed by gmsh, finer where they are curved. `scale` is mm per unit of the file.
 
-    Parameters
-    ----------
-    path : path
-    scale : float
-        mm per unit of the file.
-
-    Returns
-    -------
-    vertices : (n, 3) array, mm
-        Those that coincide are merged.
-    triangles : (m, 3) array
-        Vertices in the order that turns about the outward normal; none degenerate.
-
-    Raises
-    ------
-    InputError
-        For a file that cannot be read, naming it.
+    Returns vertices (n, 3), mm, those that coincide merged, and triangles (m, 3), turning about the
+    outward normal, none degenerate. InputError names a file that cannot be read.
     """
     return _read(path, scale)[:2]
 
@@ -172,20 +158,16 @@ def _whole_stl(content: bytes) -> bytes:
     """Return an STL file without what follows its triangles; refuse one that ends too early."""
     if b"\0" not in content:  # a name may hold any letters; binary triangles hold zeros
         lower = content.lower()
-        if b"facet" in lower and b"endsolid" not in lower[-1000:]:
-            raise InputError(
-                "the file is cut off, without endsolid at its end: export or copy it anew"
-            )
         if content and b"facet" not in lower:
             raise InputError("not a readable .stl file: could not find a facet")
+        if content and b"endsolid" not in lower[-1000:]:
+            raise InputError(CUT_OFF.format("without endsolid at its end"))
         return content
     there = len(content[84:]) // 50
     count = int.from_bytes(content[80:84], "little") or there
     if there < count:
-        raise InputError(
-            f"the file is cut off, {there} triangles of the {count} that its head promises: "
-            "export or copy it anew"
-        )
+        what = f"{there} triangles of the {count} that its head promises"
+        raise InputError(CUT_OFF.format(what))
     return content[:80] + count.to_bytes(4, "little") + content[84 : 84 + 50 * count]
 
 
@@ -207,12 +189,8 @@ def read_mesh(path: Path, kind: str | None = None) -> meshio.Mesh:
 def _reading(path: Path) -> Iterator[None]:
     """Silence a reader that prints and warns; what it raises or exits with is an InputError."""
     try:
-        with (
-            redirect_stdout(StringIO()),
-            redirect_stderr(StringIO()),
-            warnings.catch_warnings(),
-            _enough_memory(path.stat().st_size),
-        ):
+        silent = redirect_stdout(StringIO()), redirect_stderr(StringIO())
+        with silent[0], silent[1], warnings.catch_warnings(), _enough_memory(path.stat().st_size):
             warnings.simplefilter("ignore")
             warnings.filterwarnings("error", "string or file could not be read to its end")
             yield
@@ -252,9 +230,8 @@ def _read_cad(path: Path, kind: str) -> Surface:
                 [sys.executable, "-P", CAD_MESH, path.absolute(), kind, out],
                 cwd=folder,
                 env=os.environ | {"HOME": folder},  # gmsh leaves a folder there
+                capture_output=True,
                 stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.PIPE,
                 timeout=PATIENCE,
             )
         except subprocess.TimeoutExpired as error:

@@ -29,30 +29,15 @@ SAMPLES = 60  # points a side of the grid on which an opening is looked for
 
 @dataclass(frozen=True)
 class ToolFile:
-    """A tool's surface as it was read.
+    """A tool's surface as it was read."""
 
-    Parameters
-    ----------
-    part : ToolPart
-        Of the scene file; its shape is a `SurfaceFile`.
-    thickness : float
-        Of the sheet, mm.
-    grid : SurfaceGrid
-        Its distance, where the sheet can be.
-    vertices : (n, 3) array
-        Placed, repaired, in the tool's own z, mm.
-    n_triangles : int
-    repairs, warnings : list of str
-        What was repaired; what may be wrong, with the line that corrects it.
-    """
-
-    part: ToolPart
-    thickness: float
-    grid: surface.SurfaceGrid
-    vertices: FloatArray
+    part: ToolPart  # its shape is a `SurfaceFile`
+    thickness: float  # of the sheet, mm
+    grid: surface.SurfaceGrid  # its distance, where the sheet can be
+    vertices: FloatArray  # (n, 3), placed, repaired, in the tool's own z, mm
     n_triangles: int
     repairs: list[str]
-    warnings: list[str]
+    warnings: list[str]  # what may be wrong, with the line that corrects it
 
     @property
     def file(self) -> SurfaceFile:
@@ -148,19 +133,9 @@ class ToolFile:
 def read(part: ToolPart, outline: shapely.Polygon, travel: float, thickness: float) -> ToolFile:
     """Read the surface of a tool, and its distance where the sheet can be.
 
-    Parameters
-    ----------
-    part : ToolPart
-    outline : Polygon
-        Of the flat blank.
-    travel, thickness : float
-        Largest travel of the scene, and of the sheet, mm.
-
-    Raises
-    ------
-    InputError
-        For a file that cannot be read or repaired, that lies nowhere near the sheet, or whose size
-        suggests another unit.
+    The outline is that of the flat blank; the largest travel and the thickness of the sheet are in
+    mm. A file that cannot be read or repaired, that lies nowhere near the sheet, or whose size
+    suggests another unit raises InputError.
     """
     file = part.shape
     reach = np.full(2, 1.1 * max(np.abs(outline.bounds)))
