@@ -32,17 +32,7 @@ STEP = 1.0  # mm between the points of an outline
 SAME_BLANK = 0.02  # of their area: flat blanks that differ by more are two
 FEW = 10  # points in an area: with fewer their mean says little
 EARLY = 0.05  # of the largest internal energy: before, its ratio to the kinetic one says nothing
-COLUMNS = (
-    "quantity",
-    "result",
-    "reference",
-    "difference",
-    "unit",
-    "standing",
-    "band",
-    "held",
-    "over",
-)
+COLUMNS = "quantity result reference difference unit standing band held over".split()
 
 
 @dataclass(frozen=True)

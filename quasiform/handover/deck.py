@@ -31,6 +31,7 @@ from .keywords import fill
 from .tool_surface import fine_enough, from_scene_file, sampled
 
 FloatArray = np.ndarray
+Notices = list[str]
 SPEED = 1000.0  # mm/s, mean of the punch
 SETTLE = 0.02  # s, for the holder to come to rest
 MARGIN = 10.0  # mm of tool around the sheet
@@ -82,30 +83,27 @@ def abaqus_deck(
     """
     path = Path(path)
     check_number("speed", speed)
-    if spacing is not None:
-        check_number("spacing", spacing)
+    check_number("spacing", 1.0 if spacing is None else spacing)
     if path.exists() and not force:
         raise InputError(f"{path} exists already: choose another name, or replace it with --force")
-    notices: list[str] = []
     bends = any(isinstance(term, Bending) for term in model.terms)
-    if not bends:
-        notices.append("membranes alone: the model has no bending")
+    notices = ["membranes alone: the model has no bending"] * (not bends)
     places = model.sheet.positions(model.x0)
     places = np.pad(places, ((0, 0), (0, 3 - places.shape[1])))
     nodes, labels = 1 + np.arange(len(places)), 1 + np.arange(len(model.sheet.blank.triangles))
     offset = 10 ** len(str(max(nodes[-1], labels[-1])))
     material = _material(model, bends, notices)
     tools = _tools(model, places, spacing, (offset, offset * (1 + bends)), notices)
-    travel = _travel(model)
+    end = model.prescribed(model.travel)[0] - model.x0  # over the whole travel, mm
+    travel = np.where(model.fixed & (np.abs(end) > 1e-12), end, 0.0)
     supports = _supports(model, travel, bends, notices)
     motions = _motions(model, travel, tools, notices)
     driven = model.travel if any(rigid.tool.motion == "driven" for rigid in tools) else 0.0
-    time = max(float(np.abs(_of_nodes(model, travel)).max()), driven, 1.0) / speed
+    time = max(float(np.abs(travel[model.sheet.dofs]).max()), driven, 1.0) / speed
     settling = [("the holder comes to rest", SETTLE)] * any(rigid.free for rigid in tools)
-    for term in model.terms:
-        if not isinstance(term, KNOWN):
-            notices.append(f"not in the deck: {getattr(term, 'name', type(term).__name__)}")
-    notices.insert(0, NOT_RUN)
+    unknown = [term for term in model.terms if not isinstance(term, KNOWN)]
+    names = [getattr(term, "name", type(term).__name__) for term in unknown]
+    notices = [NOT_RUN, *notices, *(f"not in the deck: {name}" for name in names)]
     words = [f"Fabric {model.sheet.fabric.name}. Units N, mm, s, t, MPa.", *notices]
     words += [f"{entry}: {why}" for entry, why in model.description]
     try:
@@ -117,9 +115,8 @@ def abaqus_deck(
             **{"model": model, "words": words, "bends": bends, "nodes": nodes, "places": places},
             **{"membranes": labels, "shells": labels + offset, "tools": tools},
             **{"supports": supports, "motions": motions, "settle": SETTLE, "time": time},
-            steps=[*settling, ("travel", time)],
+            **{"steps": [*settling, ("travel", time)], "gravity": 1e6 * GRAVITY},
             heavy=any(isinstance(term, SheetWeight) for term in model.terms),
-            gravity=1e6 * GRAVITY,
             **material,
         )
     except OSError as error:
@@ -163,10 +160,9 @@ def _material(model: Model, bends: bool, notices: list[str]) -> dict[str, Any]:
             "membranes and shells have half the mass each",
         ]
     if bends and fabric.in_plane_bending and model.sheet.dim == 3:
-        notices.append(
-            f"not in the deck: in-plane bending of the fibres ({fabric.in_plane_bending:g} of the "
-            "bending stiffness), which shells of this kind do not have"
-        )
+        words = f"({fabric.in_plane_bending:g} of the bending stiffness)"
+        words = f"in-plane bending of the fibres {words}, which shells of this kind do not have"
+        notices.append(f"not in the deck: {words}")
     return {
         "t0": t0,
         "density": density,
@@ -186,7 +182,7 @@ class _Rigid:
     origin: FloatArray
     vertices: FloatArray
     triangles: np.ndarray
-    reference: int
+    reference: int  # label of its reference node
     elements: np.ndarray
     load: float
     mass: float
@@ -201,11 +197,7 @@ class _Rigid:
 
 
 def _tools(
-    model: Model,
-    places: FloatArray,
-    spacing: float | None,
-    last: tuple[int, int],
-    notices: list[str],
+    model: Model, places: FloatArray, spacing: float | None, last: tuple[int, int], notices: Notices
 ) -> list[_Rigid]:
     """Tools of the model, labelled after the last node and the last element."""
     found: dict[str, _Rigid] = {}
@@ -221,10 +213,8 @@ def _tools(
             name += "_2"
         mass = tool.mass or tool.force / (1e3 * GRAVITY)
         if tool.motion == "free" and not tool.mass:
-            notices.append(
-                f"the {tool.name} has a force and no mass: {mass:.3g} kg, which weigh as much, "
-                "stand in"
-            )
+            words = f"{mass:.3g} kg, which weigh as much, stand in"
+            notices.append(f"the {tool.name} has a force and no mass: {words}")
         weights = (term for term in model.terms if isinstance(term, ToolWeight))
         found[tool.name] = _Rigid(
             *(tool, dof, name, contact.origin(model.x0), vertices, triangles),
@@ -235,20 +225,13 @@ def _tools(
         )
         last_node += 1 + len(vertices)
         last_element += len(triangles) + found[tool.name].free
-    tilting = [rigid.tool.name for rigid in found.values() if rigid.tool.tilts]
-    notices += [
-        f"the {name} may not tilt in the deck: its moments of inertia are not known"
-        for name in tilting
-    ]
+    words = "may not tilt in the deck: its moments of inertia are not known"
+    notices += [f"the {rigid.tool.name} {words}" for rigid in found.values() if rigid.tool.tilts]
     return list(found.values())
 
 
 def _triangles(
-    model: Model,
-    places: FloatArray,
-    contact: Contact,
-    spacing: float | None,
-    notices: list[str],
+    model: Model, places: FloatArray, contact: Contact, spacing: float | None, notices: Notices
 ) -> tuple[FloatArray, np.ndarray]:
     """Triangles of a tool in its own frame."""
     tool, origin = contact.tool, contact.origin(model.x0)
@@ -273,38 +256,24 @@ def _triangles(
     return vertices, triangles
 
 
-def _travel(model: Model) -> FloatArray:
-    """Prescribed motion of all unknowns over the whole travel, mm."""
-    end = model.prescribed(model.travel)[0] - model.x0
-    return np.where(model.fixed & (np.abs(end) > 1e-12), end, 0.0)
-
-
-def _of_nodes(model: Model, values: np.ndarray) -> np.ndarray:
-    """(n_nodes, dim) values of the nodes among those of all unknowns."""
-    return values[model.sheet.dofs]
-
-
 def _supports(
-    model: Model, travel: FloatArray, bends: bool, notices: list[str]
+    model: Model, travel: FloatArray, bends: bool, notices: Notices
 ) -> list[tuple[str, np.ndarray, str]]:
     """Sets of nodes that symmetry or the model holds: name, nodes, what is fixed."""
     blank, found = model.sheet.blank, []
     nodes = 1 + np.arange(len(blank.nodes))
-    fixed = _of_nodes(model, model.fixed).copy()
+    fixed = model.fixed[model.sheet.dofs]
     for axis, plane in enumerate("xy"):
         if plane in blank.mirror:
             on = np.abs(blank.nodes[:, axis]) < 1e-9
             fixed[on, axis] = False
             found.append((f"MIRROR_{plane.upper()}", nodes[on], f"{plane.upper()}SYMM"))
+    share, turn = model.share, model.sheet.turn
     if blank.mirror:
-        notices.append(
-            f"{model.share:g} of the whole is modelled: multiply forces by {1 / model.share:g}"
-        )
-    if model.sheet.turn:
-        notices.append(
-            f"the deck is in the model's axes, turned by {model.sheet.turn:g}° from the user's"
-        )
-    for axis, held in enumerate((fixed & (_of_nodes(model, travel) == 0)).T, 1):
+        notices.append(f"{share:g} of the whole is modelled: multiply forces by {1 / share:g}")
+    if turn:
+        notices.append(f"the deck is in the model's axes, turned by {turn:g}° from the user's")
+    for axis, held in enumerate((fixed & (travel[model.sheet.dofs] == 0)).T, 1):
         if held.any():
             found.append((f"HELD_{axis}", nodes[held], f"{axis}, {axis}"))
     if bends and fixed.any():
@@ -319,7 +288,7 @@ def _motions(
     if callable(model.drive):
         notices.append("prescribed nodes go straight to their end, not along their path")
     driven = [rigid for rigid in tools if rigid.tool.motion == "driven"]
-    moved = _of_nodes(model, travel)
+    moved = travel[model.sheet.dofs]
     return [
         *((f"{rigid.name}_REF", 3, travel[rigid.dof]) for rigid in driven),
         *((str(node + 1), axis + 1, moved[node, axis]) for node, axis in np.argwhere(moved)),

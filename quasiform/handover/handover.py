@@ -96,10 +96,6 @@ def export(
     force : bool
         Whether to replace files of an earlier hand-over.
 
-    Returns
-    -------
-    Handover
-
     Raises
     ------
     InputError
@@ -117,7 +113,7 @@ def export(
         "radioss": lambda folder: drape.drape(fibres, folder, "drape_0000.rad", direction),
         "optistruct": lambda folder: drape.drape(fibres, folder, "drape.fem", direction),
         "csv": lambda folder: table.table(fibres, folder),
-        "vtu": lambda folder: table.mesh(fibres, folder),
+        "vtu": lambda folder: table.grid(fibres, folder),
     }
     with replaced(out, force=force, names=FILES) as folder:
         notices = (*fibres.notices, *writers[to](folder))

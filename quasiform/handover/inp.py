@@ -26,6 +26,7 @@ from .fibres import AXES, Fibres
 from .keywords import fill
 
 FloatArray = np.ndarray
+Sets = dict[str, tuple[tuple[str, str], int]]  # names of triangles and quads, added to labels
 DENSITY = 1e-12  # t/mm³ of g/m² over mm: N, mm, s go with tonnes
 FILES = ("mesh.inp", "fibres.inp", "part.inp")
 STAND_IN = (
@@ -90,23 +91,15 @@ def calculix(fibres: Fibres, folder: Path, axis: str = "warp") -> tuple[str, ...
     return STAND_IN, AT_NODES, ONE_EACH, frame
 
 
-def _fill(
-    code: str,
-    fibres: Fibres,
-    folder: Path,
-    sets: dict[str, tuple[tuple[str, str], int]],
-    **values: Any,
-) -> None:
+def _fill(code: str, fibres: Fibres, folder: Path, sets: Sets, **values: Any) -> None:
     """Write mesh.inp with the known elements, once a set; fibres.inp and part.inp of a code."""
     target, fabric = fibres.target, fibres.fabric
     used = np.unique(target.corners[fibres.known])
     used = used[used >= 0]
     blocks = []
     for name, (kinds, offset) in sets.items():
-        for kind, corners, chosen in zip(
-            kinds, (3, 4), (target.triangular, ~target.triangular), strict=True
-        ):
-            chosen = chosen & fibres.known
+        for kind, corners in zip(kinds, (3, 4), strict=True):
+            chosen = fibres.known & (target.triangular == (corners == 3))
             nodes = target.nodes[target.corners[chosen, :corners]]
             blocks.append((name, kind, target.elements[chosen] + offset, nodes))
     header = [
@@ -118,12 +111,8 @@ def _fill(
     density = max(DENSITY * fabric["areal_weight"] / fabric["thickness"], 1e-20)
     values |= {"name": fibres.name, "header": header, "t0": fabric["thickness"]}
     values |= {"density": density, "target": target, "used": used, "blocks": blocks}
-    for template, file in (
-        ("mesh.inp", "mesh.inp"),
-        (f"{code}_fibres.inp", "fibres.inp"),
-        (f"{code}_part.inp", "part.inp"),
-    ):
-        fill(template, folder / file, **values)
+    for file, prefix in zip(FILES, ("", f"{code}_", f"{code}_"), strict=True):
+        fill(f"{prefix}{file}", folder / file, **values)
 
 
 def _frame(fibres: Fibres, axis: str) -> FloatArray:

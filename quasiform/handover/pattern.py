@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -62,33 +63,15 @@ class FlatPattern(Drawing):
         """Area inside the closed lines, those inside others as holes, mm²."""
         import shapely
 
-        rings = [shapely.Polygon(line) for line in self.trim if _closed(line)]
-        found = shapely.Polygon()
-        for ring in rings:
-            found = found.symmetric_difference(shapely.make_valid(ring))
-        return float(found.area)
+        rings = [shapely.make_valid(shapely.Polygon(p)) for p in self.trim if _closed(p)]
+        return float(reduce(shapely.symmetric_difference, rings, shapely.Polygon()).area)
 
     def save(self, out: str | Path, *, force: bool = False) -> Path:
         """Write pattern.svg and, with ezdxf, pattern.dxf (mm, 1:1), pattern.csv and pattern.txt.
 
         The CSV has the points, the text the notices. Without ezdxf an older pattern.dxf is removed.
-
-        Parameters
-        ----------
-        out : path
-            Folder; made if missing.
-        force : bool
-            Whether to replace an earlier pattern.
-
-        Returns
-        -------
-        path
-            The folder.
-
-        Raises
-        ------
-        InputError
-            If the folder holds a pattern already and `force` is not set, or cannot be written.
+        Returns the folder, which is made if missing. InputError if it holds a pattern already and
+        `force` is not set, or if it cannot be written.
         """
         with replaced(out, force=force, names=FILES) as folder:
             if not _without_dxf():
@@ -121,10 +104,6 @@ def flat_pattern(
     scale : float
         mm per unit of the line.
 
-    Returns
-    -------
-    FlatPattern
-
     Raises
     ------
     InputError
@@ -145,8 +124,12 @@ def flat_pattern(
     else:
         lines = []
         for curve in _curves(trim, scale):
+            plan = shapely.Polygon(curve)
+            if curve.shape[1] == 2 and (not plan.is_valid or not plan.area > 0):
+                words = "must enclose an area and not cross itself"
+                raise InputError(f"the trim line, seen along z, {words}")
             if curve.shape[1] == 2:
-                lines += _seen(sheet, _polygon(curve), notices)
+                lines += _seen(sheet, plan, notices)
             else:
                 lines.append(_mapped(sheet, curve, reach, edges, notices))
     for line in lines:
@@ -277,15 +260,6 @@ def _seen(sheet: FormedSheet, plan: shapely.Polygon, notices: list[str]) -> list
     if not all(map(_closed, lines)):
         notices.append("the trim line leaves the sheet: what is left of it does not close")
     return sorted(lines, key=lambda line: -shapely.Polygon(line).area if len(line) > 3 else 0.0)
-
-
-def _polygon(curve: FloatArray) -> shapely.Polygon:
-    import shapely
-
-    plan = shapely.Polygon(curve)
-    if not plan.is_valid or not plan.area > 0:
-        raise InputError("the trim line, seen along z, must enclose an area and not cross itself")
-    return plan
 
 
 def _opening(record: Record) -> shapely.Polygon:
