@@ -53,28 +53,19 @@ class SurfaceGrid:
     """A tool's signed distance as a tricubic B-spline. Built by `surface_grid`.
 
     Edges sharper than 2.5 cells are rounded. n is the gradient of the spline and therefore only
-    nearly a unit vector. Facets larger than a cell show in n and H as they do in the file.
-
-    Parameters
-    ----------
-    low, high : (3,) array
-        Box in which the spline is the distance, mm. Beyond it, d is that of the nearest point of
-        the box plus √(s² + h²) - h with the distance s to the box and the spacing h: continuous,
-        with a kink at the box, and negative only close to where the box cuts through the tool.
-    spacing : float
-        h, mm.
-    coefficients : (nx, ny, nz) array
-        Of the B-spline; the first belongs to low - PAD h.
+    nearly a unit vector. Facets larger than a cell show in n and H as they do in the file. Beyond
+    the box, d is that of the nearest point of it plus √(s² + h²) - h with the distance s to the box
+    and the spacing h: continuous, with a kink at the box, and negative only close to where the box
+    cuts through the tool.
     """
 
-    low: FloatArray
+    low: FloatArray  # (3,) and (3,): box in which the spline is the distance, mm
     high: FloatArray
-    spacing: float
-    coefficients: FloatArray = field(repr=False)
+    spacing: float  # h, mm
+    coefficients: FloatArray = field(repr=False)  # (nx, ny, nz), the first at low - PAD h
 
     @property
     def box(self) -> FloatArray:
-        """(2, 3) corners of the box."""
         return np.stack([self.low, self.high])
 
     def distance(self, points: FloatArray) -> Distance:
@@ -120,11 +111,9 @@ def from_file(
 ) -> SurfaceGrid:
     """Distance of `SurfaceFile(path, **how)` as `surface_grid`; InputError names the file."""
     file = SurfaceFile(Path(path), **how)
-    vertices, triangles, _ = file.placed()
+    surface = file.placed()[:2]
     with naming(path):
-        return surface_grid(
-            vertices, triangles, low, high, spacing, scale=file.scale, flip=file.flip
-        )
+        return surface_grid(*surface, low, high, spacing, scale=file.scale, flip=file.flip)
 
 
 def surface_grid(
@@ -248,12 +237,12 @@ def check_surface(
     corners = vertices[triangles] - vertices.mean(0)
     if (count == 2).all() and np.linalg.det(corners).sum() < 0:
         raise InputError(f"the normals point inwards: set flip = {str(not flip).lower()}")
-    for loop in holes_of(vertices, triangles):
-        start, end = vertices[loop[:, 0]], vertices[loop[:, 1]]
+    for ring in holes_of(vertices, triangles):
+        start, end = vertices[ring], vertices[np.roll(ring, -1)]
         along = start + np.linspace(0.0, 1.0, 20)[:, None, None] * (end - start)
         if low is None or high is None or ((along > low) & (along < high)).all(-1).any():
             raise InputError(
-                f"a hole of {len(loop)} edges, {np.ptp(start, axis=0).max():.3g} mm across, around "
+                f"a hole of {len(ring)} edges, {np.ptp(start, axis=0).max():.3g} mm across, around "
                 f"{position(start.mean(0))} mm: close it ({REMEDY})"
             )
 
@@ -262,10 +251,8 @@ def check_size(size: float, reach: float, scale: float = 1.0) -> None:
     """Refuse a tool of a size (mm) that only a wrong unit explains, beside a blank of `reach`."""
     if not reach / 50 <= size <= reach * 50:
         unit = likely_unit(size / scale, reach)
-        raise InputError(
-            f"the tool is {size:.3g} mm across (scale = {scale:g}) beside a sheet of {reach:.3g} "
-            f"mm: {unit}"
-        )
+        across = f"the tool is {size:.3g} mm across (scale = {scale:g})"
+        raise InputError(f"{across} beside a sheet of {reach:.3g} mm: {unit}")
 
 
 def likely_unit(size: float, reach: float) -> str:

@@ -57,17 +57,10 @@ class Rounded:
     One point makes a ball, two a round bar, the corners of a polyhedron a polyhedron with filleted
     edges. The nearest point of the hull lies in a vertex, on an edge or on a face; d bends with
     1/(d + radius) in two directions, in one, or not at all.
-
-    Parameters
-    ----------
-    core : (n, 3) array
-        Corners, mm: one point, two, or those of a convex solid.
-    radius : float
-        mm.
     """
 
-    core: FloatArray
-    radius: float
+    core: FloatArray  # (n, 3) one point, two, or the corners of a convex solid, mm
+    radius: float  # mm
 
     def __post_init__(self) -> None:
         check_number("radius", self.radius)
@@ -96,7 +89,6 @@ class Rounded:
 
     @cached_property
     def box(self) -> FloatArray:
-        """(2, 3) corners of the bounding box, mm."""
         return np.stack([self.core.min(0) - self.radius, self.core.max(0) + self.radius])
 
     def distance(self, points: FloatArray) -> Distance:
@@ -165,17 +157,10 @@ class Opening:
     """A plate below z = 0 with a straight opening along z and a filleted upper edge.
 
     The fillet joins the opening's wall at z = -fillet and the upper face at `fillet` from the wall.
-
-    Parameters
-    ----------
-    hole : Rounded
-        The opening as a solid, long in z.
-    fillet : float
-        mm.
     """
 
-    hole: Rounded
-    fillet: float
+    hole: Rounded  # the opening as a solid, long in z
+    fillet: float  # mm
 
     def __post_init__(self) -> None:
         check_number("fillet", self.fillet)
@@ -216,29 +201,18 @@ class Opening:
 
 @dataclass(frozen=True, eq=False)
 class Placed:
-    """Another shape, turned (or mirrored) and moved.
-
-    Parameters
-    ----------
-    shape : Shape
-    axes : (3, 3) array
-        Orthogonal; its columns are the axes of the shape's frame.
-    origin : (3,) array
-        Origin of the shape's frame, mm.
-    """
+    """Another shape, turned (or mirrored) and moved."""
 
     shape: Shape
-    axes: FloatArray
-    origin: FloatArray = (0.0, 0.0, 0.0)
+    axes: FloatArray  # (3, 3) orthogonal; its columns are the axes of the shape's frame
+    origin: FloatArray = (0.0, 0.0, 0.0)  # of the shape's frame, mm
 
     @property
-    def sharpest(self) -> float:
-        """Smallest radius of curvature, mm; 0 where it is unknown."""
+    def sharpest(self) -> float:  # 0 where it is unknown
         return getattr(self.shape, "sharpest", 0.0)
 
     @cached_property
     def box(self) -> FloatArray | None:
-        """(2, 3) corners of the bounding box, mm; None without one."""
         box = getattr(self.shape, "box", None)
         if box is None:
             return None

@@ -44,29 +44,14 @@ CAD_MESH = Path(__file__).with_name("cad.py")
 
 @dataclass(frozen=True)
 class SurfaceFile:
-    """A tool's surface in a file. A point p of it comes to R (scale p - origin).
-
-    Parameters
-    ----------
-    path : Path
-    scale : float
-        mm per unit of the file.
-    flip : bool
-        Whether the normals are turned round.
-    rotate : (3,) floats
-        R, degrees about the fixed axes x, y, z, in this order.
-    origin : (3,) floats
-        Point of the file, mm, that becomes the tool's origin.
-    spacing : float, optional
-        Of the grid of its distance, mm.
-    """
+    """A tool's surface in a file. A point p of it comes to R (scale p - origin)."""
 
     path: Path
-    scale: float = 1.0
-    flip: bool = False
-    rotate: Vector = (0.0, 0.0, 0.0)
-    origin: Vector = (0.0, 0.0, 0.0)
-    spacing: float | None = None
+    scale: float = 1.0  # mm per unit of the file
+    flip: bool = False  # whether the normals are turned round
+    rotate: Vector = (0.0, 0.0, 0.0)  # R, degrees about the fixed axes x, y, z, in this order
+    origin: Vector = (0.0, 0.0, 0.0)  # point of the file, mm, that becomes the tool's origin
+    spacing: float | None = None  # of the grid of its distance, mm
 
     def placed(self) -> tuple[FloatArray, np.ndarray, list[str]]:
         """Vertices and triangles as `read_surface`, in the tool's frame, and what was repaired."""
@@ -106,9 +91,8 @@ def _read(path: str | Path, scale: float) -> tuple[FloatArray, np.ndarray, list[
     with naming(path):
         check_number("scale", scale)
         if kind not in KINDS:
-            raise InputError(
-                f"unknown kind of surface '{kind}': expected one of {', '.join(KINDS)}"
-            )
+            known = ", ".join(KINDS)
+            raise InputError(f"unknown kind of surface '{kind}': expected one of {known}")
         check_file(path)
         vertices, triangles = _read_cad(path, CAD[kind]) if kind in CAD else _read_mesh(path, kind)
         check_numbers(vertices, triangles)
@@ -172,10 +156,7 @@ def _whole_stl(content: bytes) -> bytes:
 
 
 def read_mesh(path: Path, kind: str | None = None) -> meshio.Mesh:
-    """Read a mesh, its points (n, 3), by meshio, in the format `kind` or that of the suffix.
-
-    InputError for a file that it cannot read.
-    """
+    """Read a mesh, its points (n, 3), by meshio, in the format `kind` or that of the suffix."""
     reader = import_module(f"meshio.{kind}" if kind else "meshio")
     with _reading(path):
         mesh = reader.read(str(path))
@@ -210,9 +191,9 @@ def _enough_memory(size: int) -> Iterator[None]:
         yield
         return
     soft, hard = resource.getrlimit(resource.RLIMIT_AS)
-    most = used + MEMORY + 100 * size
     limits = [limit for limit in (soft, hard) if limit != resource.RLIM_INFINITY]
-    resource.setrlimit(resource.RLIMIT_AS, (min([most, *limits]), hard))
+    least = min([used + MEMORY + 100 * size, *limits])
+    resource.setrlimit(resource.RLIMIT_AS, (least, hard))
     try:
         yield
     finally:
