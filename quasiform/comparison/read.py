@@ -111,9 +111,8 @@ class Side:
             return self.sheets[near], f"its state at {s[near]:.6g} mm"
         if not s[0] <= travel <= s[-1]:
             own = f"has {s[0]:g} to {s[-1]:g} mm" if len(s) > 1 else f"is at {s[0]:g} mm"
-            raise InputError(
-                f"{self.name}: travels do not overlap: it {own}, asked for {travel:g} mm"
-            )
+            words = f"travels do not overlap: it {own}, asked for {travel:g} mm"
+            raise InputError(f"{self.name}: {words}")
         i = int(np.searchsorted(s, travel))
         before, after = self.sheets[i - 1], self.sheets[i]
         one_mesh = len(before.triangles) and np.array_equal(before.triangles, after.triangles)
@@ -267,8 +266,7 @@ def _placed(sheet: FormedSheet, reading: Reading, where: object) -> tuple[Formed
         return replace(sheet, points=points, flat=flat), []
     moved = reading.scale * np.asarray(sheet.point_fields[name], dtype=float)
     moved = np.pad(moved.reshape(len(points), -1), ((0, 0), (0, 3)))[:, :3]
-    if not np.isfinite(moved).all():
-        lost = len(moved) - np.isfinite(moved).all(1).sum()
+    if lost := (~np.isfinite(moved).all(1)).sum():
         raise InputError(f"{where}: {lost} nodes have no displacement")
     given, notes = reading.coordinates, []
     if given is None:
@@ -287,17 +285,15 @@ def _placed(sheet: FormedSheet, reading: Reading, where: object) -> tuple[Formed
 
 def _field(sheet: FormedSheet, reading: Reading, where: object) -> tuple[str, str] | None:
     """Where the angle is: ("point_fields" or "cell_fields", name); None to work it out."""
+    both = {"cell": sheet.cell_fields, "point": sheet.point_fields}
     scalars = [
-        (kind, name)
-        for kind in ("cell_fields", "point_fields")
-        for name, values in getattr(sheet, kind).items()
+        (f"{kind}_fields", name)
+        for kind, fields in both.items()
+        for name, values in fields.items()
         if np.ndim(values) == 1 or np.shape(values)[1:] == (1,)
     ]
     names = [name for _, name in scalars]
-    present = "; ".join(
-        f"{words} fields: {', '.join(fields) if fields else 'none'}"
-        for words, fields in (("cell", sheet.cell_fields), ("point", sheet.point_fields))
-    )
+    present = "; ".join(f"{k} fields: {', '.join(fields) or 'none'}" for k, fields in both.items())
     for key in scalars:
         named = key[1] == reading.field or (reading.values and key[1] == "angle")
         if named if reading.field is not None else name_of(key[1])[0] == "angle":
@@ -322,19 +318,17 @@ def _of_inp(path: Path, reading: Reading) -> FormedSheet:
         table = read_table(Path(reading.values), reading.column)
         key = next((name for name in fields if name in table), None)
         if key is None:
-            raise InputError(
-                f"{reading.values}: no column of node or element labels ('node', 'element')"
-            )
-        parts = ("u1", "u2", "u3")
-        columns = {k: v for k, v in table.items() if k not in (*fields, *parts)}
-        if all(part in table for part in parts):
-            columns["displacement"] = np.column_stack([table[part] for part in parts])
+            words = "no column of node or element labels ('node', 'element')"
+            raise InputError(f"{reading.values}: {words}")
+        labels, first = np.unique(table.pop(key).astype(int), return_index=True)
+        parts = [table.pop(name, None) for name in ("u1", "u2", "u3")]
+        if all(part is not None for part in parts):
+            table["displacement"] = np.column_stack(parts)
         asked = shells.nodes if key == "node" else shells.elements[rows]
-        labels = list(enumerate(table[key].astype(int).tolist()))
-        place = {label: row for row, label in reversed(labels)}  # the first of those that repeat
-        found = np.array([place.get(label, -1) for label in asked.tolist()])
-        for name, column in columns.items():
-            fields[key][name] = np.concatenate([column, np.full_like(column[:1], np.nan)])[found]
+        at = np.searchsorted(labels, asked).clip(max=len(labels) - 1)
+        for name, column in table.items():
+            known = (labels[at] == asked).reshape(-1, *[1] * (column.ndim - 1))
+            fields[key][name] = np.where(known, column[first[at]], np.nan)
     made = (shells.points, triangles, fields["node"], fields["element"])
     return readable(path, lambda: FormedSheet.of_surface(*made))
 
@@ -354,22 +348,23 @@ def _of_table(path: Path, reading: Reading) -> Side:
         return reading.scale * np.column_stack([table[name] for name in names])
 
     plan, formed, flat = columns("x", "y"), columns("x", "y", "z"), columns("x0", "y0")
+    contour = "angle" not in table or reading.field == NO_FIELD
     if plan is None and flat is None:
         raise InputError(f"{path}: expected columns x and y, got {', '.join(table)}")
-    if "angle" not in table or reading.field == NO_FIELD:
-        if plan is None or len(plan) < 3:
-            raise InputError(f"{path}: a contour needs three points x, y (and a field an angle)")
+    if contour and (plan is None or len(plan) < 3):
+        raise InputError(f"{path}: a contour needs three points x, y (and a field an angle)")
+    if flat is None and reading.coordinates == "flat":
+        flat, formed = plan, None
+    if not contour and flat is None and formed is None:
+        words = (
+            "are x and y flat or formed coordinates? say coordinates = 'flat', or name the columns "
+            "x0, y0 (flat) or x, y, z (formed)",
+            "formed coordinates need x, y and z",
+        )
+        raise InputError(f"{path}: {words[reading.coordinates is not None]}")
+    if contour:
         sheet = FormedSheet(contour=np.vstack([plan, plan[:1]]) if _closes(plan) else plan)
     else:
-        if flat is None and reading.coordinates == "flat":
-            flat, formed = plan, None
-        elif flat is None and formed is None:
-            raise InputError(
-                f"{path}: are x and y flat or formed coordinates? say coordinates = 'flat', or "
-                "name the columns x0, y0 (flat) or x, y, z (formed)"
-                if reading.coordinates is None
-                else f"{path}: formed coordinates need x, y and z"
-            )
         angle = {ANGLE: reading.gamma(table["angle"])}
         sheet = FormedSheet(formed, flat=flat, point_fields=angle)
     return Side(path.stem, Sheets([reading.travel], lambda _: sheet))
