@@ -21,18 +21,12 @@ from ..checks import InputError, check_number
 from ..comparison.mapping import on_surface, spacing
 from ..comparison.shells import Shells
 from ..result.record import Record
+from .keywords import NOTICES
 
 FloatArray = np.ndarray
 AXES = ("warp", "weft", "bisector")
 FAMILIES = ("warp", "weft")
 STEEP = 30.0  # degrees between an element and the sheet: beyond, the projection is doubtful
-NOT_MODELLED = (
-    "one ply is handed over: several plies, and their sliding on each other, are not modelled",
-    "rovings do not slip in the model, and the fabric does not tear or open: it has no gaps",
-    "thickness and areal weight follow from the area at constant volume and mass (assumed); "
-    "compaction by tools and by a later infusion is not in them",
-    "stresses and contact pressures of the forming are left out: the part is free of stress",
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +117,7 @@ def carry(record: Record, target: Shells | None = None, within: float | None = N
     Elements whose centroid is farther than `within` from the sheet (mm; by default the spacing of
     the formed mesh) get nothing; InputError if none is near.
     """
-    sheet, notices = record.sheet, [*limits_of(record), *NOT_MODELLED]
+    sheet, notices = record.sheet, [*limits_of(record), *NOTICES["fibres"]]
     values = [sheet.cell_fields["warp"], sheet.cell_fields["weft"], sheet.area_ratio]
     if target is None:
         target = Shells.counted(sheet.points, sheet.triangles)

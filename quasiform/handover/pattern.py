@@ -8,6 +8,7 @@ of a die, a CSV without z) the points are those where the edges of the triangles
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import reduce
 from pathlib import Path
@@ -23,7 +24,7 @@ from ..tables import read_table
 from ..tools.mending import normals_of
 from .drawing import Drawing, write_csv, write_dxf, write_svg
 from .fibres import limits_of, read_formed
-from .keywords import write_notices
+from .keywords import NOTICES, write_notices
 
 if TYPE_CHECKING:
     import shapely
@@ -38,12 +39,7 @@ ASIDE = 0.01  # of the spacing: how far beside the rim of the sheet a line has l
 HALVINGS = 30  # of an edge, to find where a line crosses it
 JUMP = 3.0  # flat step over formed step: the line has passed from one fold to another
 FILES = ("pattern.dxf", "pattern.svg", "pattern.csv", "pattern.txt")
-NOT_MODELLED = (
-    "one ply: the plies of a stack have patterns of their own, and their sliding on each other "
-    "is not modelled",
-    "rovings do not slip in the model: a pattern cut where they do may differ",
-    "no allowance for cutting, springback or compaction is added",
-)
+NOT_MODELLED = NOTICES["pattern"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,12 +137,10 @@ def flat_pattern(
 
 def _without_dxf() -> list[str]:
     """Why there is no pattern.dxf; empty if there is one."""
-    try:
+    with suppress(InputError):
         optional("ezdxf", "cad", "a .dxf file needs ezdxf")
-    except InputError:
-        words = "pattern.dxf is left out, SVG and CSV hold the same lines: pip install ezdxf"
-        return [f"{words}, and export again"]
-    return []
+        return []
+    return [NOTICES["no_dxf"]]
 
 
 def _curves(trim: Line, scale: float) -> list[FloatArray]:
@@ -177,11 +171,7 @@ def _curves(trim: Line, scale: float) -> list[FloatArray]:
 
 
 def _mapped(
-    sheet: FormedSheet,
-    curve: FloatArray,
-    reach: float,
-    edges: list[FloatArray],
-    notices: list[str],
+    sheet: FormedSheet, curve: FloatArray, reach: float, edges: list[FloatArray], notices: list[str]
 ) -> FloatArray:
     """Flat closed line of a closed line in space."""
     import shapely
@@ -244,13 +234,11 @@ def _seen(sheet: FormedSheet, plan: shapely.Polygon, notices: list[str]) -> list
         raise InputError("the trim line, seen along z, does not cross the formed sheet")
     pairs, segment = np.unique(edges[cut][crossed[cut]], axis=0, return_inverse=True)
     a, b = pairs.T
-    low, high = np.zeros(a.shape), np.ones(a.shape)
-    for _ in range(HALVINGS):
-        share = 0.5 * (low + high)
+    share = np.full(a.shape, 0.5)  # never 0: lines through a node would meet there
+    for k in range(HALVINGS):
         place = sheet.points[a] + share[:, None] * (sheet.points[b] - sheet.points[a])
         first_side = shapely.contains_xy(plan, place[:, :2]) == inside[a]
-        low, high = np.where(first_side, share, low), np.where(first_side, high, share)
-    share = 0.5 * (low + high)  # never 0: lines through a node would meet there
+        share += np.where(first_side, 0.25, -0.25) * 0.5**k
     points = sheet.flat[a] + share[:, None] * (sheet.flat[b] - sheet.flat[a])
     ends = points[segment.reshape(-1, 2)]
     chord = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).max()

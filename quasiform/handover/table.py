@@ -12,11 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from .fibres import AXES, Fibres
-
-GENERAL = (
-    "theta runs from the side between an element's first two nodes (Nastran's THETA); without "
-    "an MCID",
-)
+from .keywords import NOTICES
 
 
 def table(fibres: Fibres, folder: Path) -> tuple[str, ...]:
@@ -40,7 +36,7 @@ def table(fibres: Fibres, folder: Path) -> tuple[str, ...]:
             cells = [target.elements[row], *(f"{column[row]:.7g}" for column in values.values())]
             cells += ["" if c < 0 else target.nodes[c] for c in target.corners[row]]
             writer.writerow([*cells, *(f"{column[row]:.9g}" for column in vectors.values())])
-    return GENERAL
+    return (NOTICES["theta"],)
 
 
 def grid(fibres: Fibres, folder: Path) -> tuple[str, ...]:
