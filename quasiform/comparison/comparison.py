@@ -15,8 +15,8 @@ from ..checks import InputError, check_keys, check_number
 from ..result.files import replaced
 from ..result.sheet import FormedSheet
 from ..result.summary import package_version
-from .differences import Row, Rows, common_forces, matched, other_blank, own_values
-from .mapping import ANGLE, WAYS
+from .differences import COLUMNS, Row, Rows, common_forces, matched, other_blank, own_values
+from .mapping import ANGLE, SIDES, WAYS
 from .place import aligned, unfolded
 from .read import SAME, Reading, Side, read_side
 
@@ -43,7 +43,6 @@ class Comparison:
     Parameters
     ----------
     names : (str, str)
-        Of the result and of the reference.
     rows : tuple of Row
         One a difference, with its band if it has one.
     notes : tuple of str
@@ -89,83 +88,62 @@ class Comparison:
     def table(self) -> str:
         """Rows as text."""
         width = max(len(row.quantity) for row in self.rows)
-        lines = [f"{'':<{width}}{'result':>12}{'reference':>12}{'difference':>12}"]
+        line = f"{{quantity:<{width}}}{{result:>12}}{{reference:>12}}{{difference:>12}}"
+        lines = [line.format(**dict(zip(COLUMNS, ["", *COLUMNS[1:]], strict=True)))]
         for row in self.rows:
-            cells = "".join(f"{cell:>12}" for cell in row.numbers(".4g"))
-            band = "" if row.band is None else f"  {row.verdict} (band {row.band:g})"
-            over = f"  {row.over}" if row.over else ""
-            lines.append(f"{row.quantity:<{width}}{cells} {row.unit:<4}{over}{band}".rstrip())
+            cells = row.cells(".4g")
+            more = f"  {row.over}" * bool(row.over)
+            more += f"  {cells['held']} (band {cells['band']})" * bool(cells["held"])
+            lines.append(f"{line.format(**cells)} {row.unit:<4}{more}".rstrip())
         return "\n".join(lines)
 
     def markdown(self) -> str:
         """Return the comparison as Markdown."""
-        lines = [
-            f"# {self.names[0]} beside {self.names[1]}",
-            "",
-            "| quantity | result | reference | difference | unit | standing | band | over |",
-            "|-|-|-|-|-|-|-|-|",
-        ]
+        heads = [name for name in COLUMNS if name != "held"]
+        table = [heads, ["-"] * len(heads)]
         for row in self.rows:
-            band = f"{row.band:g}: {row.verdict}" if row.verdict else ""
-            quantity = row.quantity.replace("|", r"\|")
-            words = [quantity, *row.numbers(".4g"), row.unit, row.standing, band, row.over]
-            lines.append(f"| {' | '.join(words)} |")
-        lines += ["", *(f"- {note}" for note in self.notes)]
-        return "\n".join([*lines, "", "![difference](difference.png)", ""])
+            cells = row.cells(".4g")
+            verdict = cells.pop("held")
+            cells["band"] += f": {verdict}" * bool(verdict)
+            cells["quantity"] = row.quantity.replace("|", r"\|")
+            table.append(cells.values())
+        lines = [f"# {self.names[0]} beside {self.names[1]}", ""]
+        lines += [f"| {' | '.join(words)} |" for words in table]
+        lines += ["", *(f"- {note}" for note in self.notes), "", "![difference](difference.png)"]
+        return "\n".join([*lines, ""])
 
     def save(self, out: str | Path, *, force: bool = False) -> Path:
         """Write compare.json, compare.csv, compare.md, difference.vtu and difference.png.
 
-        Parameters
-        ----------
-        out : path
-            Folder; made if missing.
-        force : bool
-            Replace an existing comparison.
-
-        Raises
-        ------
-        InputError
-            If the folder holds a comparison already and `force` is not set, or cannot be written.
+        The folder is made if missing. InputError if it holds a comparison already and `force` is
+        not set, or if it cannot be written.
         """
+        import meshio
+
         from .picture import draw
 
-        content = {
-            "result": self.names[0],
-            "reference": self.names[1],
-            "version": package_version(),
-            "travel_mm": self.travel,
-            "held": self.held,
-            "notes": self.notes,
-            "rows": [asdict(row) | {"held": row.held} for row in self.rows],
-        }
+        content = dict(zip(("result", "reference"), self.names, strict=True))
+        content |= {"version": package_version(), "travel_mm": self.travel, "held": self.held}
+        content |= {"notes": self.notes}
+        content |= {"rows": [asdict(row) | {"held": row.held} for row in self.rows]}
         with replaced(out, force=force, names=FILES) as folder:
             text = json.dumps(content, indent=2, allow_nan=False, ensure_ascii=False)
             (folder / "compare.json").write_text(text + "\n", encoding="utf-8")
             with (folder / "compare.csv").open("w", newline="", encoding="utf-8") as file:
-                writer = csv.writer(file)
-                names = ("quantity", "result", "reference", "difference", "unit", "standing")
-                writer.writerow([*names, "band", "held", "over"])
-                for row in self.rows:
-                    band = f"{row.band:g}" if row.verdict else ""
-                    cells = [row.quantity, *row.numbers(".8g"), row.unit, row.standing]
-                    writer.writerow([*cells, band, row.verdict, row.over])
+                writer = csv.DictWriter(file, COLUMNS)
+                writer.writeheader()
+                writer.writerows(row.cells(".8g") for row in self.rows)
             (folder / "compare.md").write_text(self.markdown(), encoding="utf-8")
             if self.field is not None:
-                self._write_field(folder / "difference.vtu")
+                names, values = ("difference", *SIDES), (self.difference, *self.gamma)
+                fields = {f"shear_angle_{k}": v for k, v in zip(names, values, strict=True)}
+                places, triangles = self.field.places, self.field.triangles
+                points = ("vertex", np.arange(len(places))[:, None])
+                cells = ("triangle", triangles) if len(triangles) else points
+                meshio.Mesh(places, [cells], fields).write(folder / "difference.vtu")
             drawn = (self.sheets, self.field, self.gamma, self.forces, self.locking)
             draw(folder / "difference.png", self.names, *drawn)
         return Path(out)
-
-    def _write_field(self, path: Path) -> None:
-        import meshio
-
-        places, triangles = self.field.places, self.field.triangles
-        cells = ("triangle", triangles) if len(triangles) else ("vertex", np.c_[: len(places)])
-        names = ("difference", "result", "reference")
-        values = dict(zip(names, (self.difference, *self.gamma), strict=True))
-        fields = {f"shear_angle_{name}": value for name, value in values.items()}
-        meshio.Mesh(places, [cells], point_data=fields).write(path)
 
 
 def compare(
@@ -216,16 +194,17 @@ def compare(
     **reading
         How the reference's file is to be read: `Reading`; its `travel` is `reference_travel` here.
 
-    Returns
-    -------
-    Comparison
-
     Raises
     ------
     InputError
         For wrong input, and where the two cannot be compared.
     """
-    _check_choices(standing, by, align, mirror)
+    choices = (standing, STANDINGS), (by, ("auto", *WAYS)), (align, ALIGN)
+    for name, (value, known) in zip(("standing", "by", "align"), choices, strict=True):
+        if value not in known:
+            raise InputError(f"{name} must be one of {', '.join(known)}, got {value!r}")
+    if not set(mirror) <= {"x", "y"} or len(set(mirror)) < len(mirror):
+        raise InputError(f"mirror must be x, y or both, got {mirror!r}")
     limits = {"within": within, "travel": travel, "band_angle": band_angle}
     limits |= {"band_outline": band_outline, "band_force": band_force}
     for name, value in limits.items():
@@ -244,13 +223,13 @@ def compare(
         field, gamma, share = matched(sheet, theirs, by, within, notes)
         warnings += _off_sheet(share, field is sheet, align)
         whole = share > 1 - 1e-9 and not warnings
-        own = own_values((sheet, theirs), field, gamma, whole, notes)
+        own, what = own_values((sheet, theirs), field, gamma, whole, notes)
         rows.angles(own, field, gamma, "γ" if how.signed else "|γ|", band_angle)
-        rows.areas(own, mine.areas if areas is None else areas, band_angle)
+        rows.areas(own, what, mine.areas if areas is None else areas, band_angle)
     rows.outlines(sheet, theirs, band_outline)
     forces = common_forces(mine, other, goal)
     rows.forces(forces, band_force)
-    for name, side in (("result", mine), ("reference", other)):
+    for name, side in zip(SIDES, (mine, other), strict=True):
         rows.energies(name, side, goal)
     if not rows.rows:
         raise InputError(
@@ -268,26 +247,8 @@ def compare(
     return Comparison(*found, field, gamma, forces, locking)
 
 
-def _check_choices(standing: str, by: str, align: str, mirror: Sequence[str]) -> None:
-    for name, value, known in (
-        ("standing", standing, STANDINGS),
-        ("by", by, ("auto", *WAYS)),
-        ("align", align, ALIGN),
-    ):
-        if value not in known:
-            raise InputError(f"{name} must be one of {', '.join(known)}, got {value!r}")
-    if not set(mirror) <= {"x", "y"} or len(set(mirror)) < len(mirror):
-        raise InputError(f"mirror must be x, y or both, got {mirror!r}")
-
-
 def _common_travel(mine: Side, other: Side, travel: float | None) -> tuple[float | None, list[str]]:
-    """Travel at which both are compared, and a note on where it is from.
-
-    Raises
-    ------
-    InputError
-        Where a run does not reach that travel.
-    """
+    """Travel at which both are compared, and a note on where it is from."""
     if travel is None:
         travel = min((side.end for side in (mine, other) if side.end is not None), default=None)
     if travel is None:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -25,37 +25,28 @@ from .place import rim
 from .read import SAME, Side
 
 FloatArray = np.ndarray
+Disc = tuple[tuple[float, float], float]  # centre and radius, mm
+Own = list[tuple[FloatArray, FloatArray, FloatArray | None]]
+"""Of result and reference: shear angles, areas and flat places of what they are known by."""
 STEP = 1.0  # mm between the points of an outline
 SAME_BLANK = 0.02  # of their area: flat blanks that differ by more are two
 FEW = 10  # points in an area: with fewer their mean says little
 EARLY = 0.05  # of the largest internal energy: before, its ratio to the kinetic one says nothing
+COLUMNS = "quantity result reference difference unit standing band held over".split()
 
 
 @dataclass(frozen=True)
 class Row:
-    """One quantity of both.
-
-    Parameters
-    ----------
-    quantity, unit, standing : str
-        The standing is the reference's.
-    result, reference : float or None
-    difference : float
-        Result minus reference, or their distance where neither has a value of its own.
-    band : float, optional
-        What |difference| may be.
-    over : str
-        How many triangles or points of result and reference a mean over an area is of.
-    """
+    """One quantity of both; the difference is a distance where neither has a value of its own."""
 
     quantity: str
     unit: str
     result: float | None
     reference: float | None
     difference: float | None
-    standing: str
-    band: float | None = None
-    over: str = ""
+    standing: str  # of the reference
+    band: float | None = None  # what |difference| may be
+    over: str = ""  # how many triangles or points of both a mean over an area is of
 
     @property
     def held(self) -> bool | None:
@@ -64,22 +55,13 @@ class Row:
             return None
         return bool(abs(self.difference) <= self.band)
 
-    @property
-    def verdict(self) -> str:
-        """Whether it is within its band, as a word; empty without one."""
-        return {None: "", True: "held", False: "MISSED"}[self.held]
-
-    def numbers(self, form: str) -> list[str]:
-        """Result, reference and difference as text, empty where there is none."""
-        values = (self.result, self.reference, self.difference)
-        return ["" if value is None else format(value, form) for value in values]
-
-
-class Own(NamedTuple):
-    """Of result and reference: shear angles, areas and flat places of what they are known by."""
-
-    what: str
-    values: list[tuple[FloatArray, FloatArray, FloatArray | None]]
+    def cells(self, form: str) -> dict[str, str]:
+        """Text by column, empty where there is nothing; "held" or "MISSED" with a band."""
+        numbers = {name: getattr(self, name) for name in ("result", "reference", "difference")}
+        found = {key: "" if v is None else format(v, form) for key, v in numbers.items()}
+        verdict = {None: "", True: "held", False: "MISSED"}[self.held]
+        found |= {"held": verdict, "band": f"{self.band:g}" if verdict else ""}
+        return {name: found.get(name, getattr(self, name, "")) for name in COLUMNS}
 
 
 @dataclass
@@ -99,8 +81,6 @@ class Rows:
         """Add a distance between the two."""
         self.rows.append(Row(quantity, unit, None, None, float(distance), self.standing, band))
 
-    # The sheets
-
     def angles(
         self, own: Own, field: FormedSheet, gamma: FloatArray, word: str, band: float | None
     ) -> None:
@@ -113,7 +93,7 @@ class Rows:
             ("99th percentile", lambda v, w: percentile(v, w, 0.99)),
             ("maximum", lambda v, _: v.max()),
         ):
-            self.both(f"{name} of {word}", "deg", *(measure(v, w) for v, w, _ in own.values))
+            self.both(f"{name} of {word}", "deg", *(measure(v, w) for v, w, _ in own))
         for name, value, limit in (
             ("mean", np.average(off, weights=w), None),
             ("mean absolute", np.average(far, weights=w), None),
@@ -123,30 +103,27 @@ class Rows:
         ):
             self.off(f"difference of {word}, {name}", "deg", value, limit)
 
-    def areas(
-        self, own: Own, areas: Mapping[str, tuple[tuple[float, float], float]], band: float | None
-    ) -> None:
-        """Add the means over named areas of the flat blank."""
-        if any(X is None for *_, X in own.values):
+    def areas(self, own: Own, what: str, areas: Mapping[str, Disc], band: float | None) -> None:
+        """Add the means over named areas of the flat blank, of triangles or points (`what`)."""
+        if any(X is None for *_, X in own):
             words = "no means over areas: flat coordinates are not known there"
             self.notes += [words] if areas else []
             return
         few = []
         for name, (centre, radius) in areas.items():
-            inside = [np.linalg.norm(X - centre, axis=1) <= radius for *_, X in own.values]
+            inside = [np.linalg.norm(X - centre, axis=1) <= radius for *_, X in own]
             counts = [int(one.sum()) for one in inside]
             if not min(counts):
-                self.notes.append(f"area {name}: no {own.what} of both lies in it")
+                self.notes.append(f"area {name}: no {what} of both lies in it")
                 continue
             means = [
                 np.average(np.abs(values[one]), weights=w[one])
-                for (values, w, _), one in zip(own.values, inside, strict=True)
+                for (values, w, _), one in zip(own, inside, strict=True)
             ]
             over = " and ".join(map(str, dict.fromkeys(counts)))
-            over += f" {own.what}" + "s" * (max(counts) > 1)
+            over += f" {what}" + "s" * (max(counts) > 1)
             self.both(f"mean |γ| in area {name}", "deg", *means, band=band, over=over)
-            if min(counts) < FEW:
-                few.append(f"{name} ({over})")
+            few += [f"{name} ({over})"] * (min(counts) < FEW)
         if few:
             self.notes.append(f"means of few say little of an area: {', '.join(few)}")
 
@@ -168,8 +145,6 @@ class Rows:
         if mine.is_closed and other.is_closed:
             a, b = (1e-2 * shapely.Polygon(line).area for line in (mine, other))
             self.both("area within the outline", "cm²", a, b)
-
-    # The histories
 
     def forces(self, forces: FloatArray | None, band: float | None) -> None:
         """Add the forces at the end of the common travel and along it (`common_forces`)."""
@@ -194,13 +169,12 @@ class Rows:
         known = internal > EARLY * internal.max()
         if travel is not None and "travel" in side.history:
             known &= side.history["travel"] <= travel * (1 + SAME)
-        if not known.any():
-            return
         ratio = 100 * kinetic[known] / internal[known]
-        for words, value in (("at the end", ratio[-1]), ("at most", ratio.max())):
-            quantity = f"kinetic by internal energy of the {name}, {words}"
-            row = Row(quantity, "%", None, None, None, self.standing)
-            self.rows.append(replace(row, **{name: float(value)}))
+        for words, values in (("at the end", ratio[-1:]), ("at most", ratio)):
+            if len(values):
+                quantity = f"kinetic by internal energy of the {name}, {words}"
+                row = Row(quantity, "%", None, None, None, self.standing)
+                self.rows.append(replace(row, **{name: float(values.max())}))
 
 
 def matched(
@@ -236,8 +210,8 @@ def own_values(
     gamma: FloatArray,
     whole: bool,
     notes: list[str],
-) -> Own:
-    """Shear angles of both, of their triangles if these are known and compared as a whole."""
+) -> tuple[Own, str]:
+    """Shear angles of both, and of what: their triangles if these are known and all compared."""
     whole = whole and all(ANGLE in sheet.cell_fields for sheet in sheets)
     source = (
         "of each sheet's own triangles, as in summary.json (there of |γ| at the end)"
@@ -251,10 +225,10 @@ def own_values(
     if whole:
         flat = [None if s.flat is None else s.flat[s.triangles].mean(1) for s in sheets]
         fields = [(sheet.cell_fields[ANGLE], sheet.flat_areas) for sheet in sheets]
-        return Own("triangle", [(*f, X) for f, X in zip(fields, flat, strict=True)])
+        return [(*f, X) for f, X in zip(fields, flat, strict=True)], "triangle"
     compared = np.isfinite(gamma[0])
     X = None if field.flat is None else field.flat[compared]
-    return Own("point", [(g[compared], field.weights[compared], X) for g in gamma])
+    return [(g[compared], field.weights[compared], X) for g in gamma], "point"
 
 
 def other_blank(sheet: FormedSheet, theirs: FormedSheet) -> list[str]:
@@ -268,11 +242,11 @@ def other_blank(sheet: FormedSheet, theirs: FormedSheet) -> list[str]:
     share = blanks[0].symmetric_difference(blanks[1]).area / blanks[0].union(blanks[1]).area
     if share <= SAME_BLANK:
         return []
-    sizes = []
-    for blank in blanks:
-        low, high = np.array(blank.bounds).reshape(2, 2)
-        size, middle = high - low, 0.5 * (low + high) + 0.0
-        sizes.append("{:.4g} x {:.4g} mm around ({:.3g}, {:.3g})".format(*size, *middle))
+    sizes = [
+        f"{x1 - x0:.4g} x {y1 - y0:.4g} mm around "
+        f"({0.5 * (x0 + x1) + 0.0:.3g}, {0.5 * (y0 + y1) + 0.0:.3g})"
+        for x0, y0, x1, y1 in (blank.bounds for blank in blanks)
+    ]
     return [
         f"the flat blanks differ on {100 * share:.0f} % of what they cover (result {sizes[0]}, "
         f"reference {sizes[1]}): another part, another place (--align), a part of it (--mirror) or "
@@ -288,16 +262,14 @@ def common_forces(mine: Side, other: Side, travel: float | None) -> FloatArray |
     for side in (mine, other):
         order = np.argsort(side.history["travel"], kind="stable")
         curves.append(np.stack([side.history[name][order] for name in ("travel", "force")]))
-    low = max(curve[0, 0] for curve in curves)
-    high = min(curve[0, -1] for curve in curves)
+    (first, last), (start, end) = (curve[0, [0, -1]] for curve in curves)
+    low, high = max(first, start), min(last, end)
     slack = SAME * max(abs(high), 1.0)
-    if travel is not None:
-        high = min(high, travel)
+    high = high if travel is None else min(high, travel)
     if low > high + slack:
         raise InputError(
-            f"travels do not overlap: the force of {mine.name} is known from {curves[0][0, 0]:g} "
-            f"to {curves[0][0, -1]:g} mm, that of {other.name} from {curves[1][0, 0]:g} to "
-            f"{curves[1][0, -1]:g} mm"
+            f"travels do not overlap: the force of {mine.name} is known from {first:g} to "
+            f"{last:g} mm, that of {other.name} from {start:g} to {end:g} mm"
         )
     s = np.concatenate([curve[0] for curve in curves])
     s = np.unique(np.concatenate([s[(s >= low) & (s <= high)], [high]]))

@@ -8,34 +8,31 @@ is not compared.
 
 from __future__ import annotations
 
-from types import ModuleType
-
 import numpy as np
 
 from ..checks import InputError, optional
+from ..net.transfer import interpolated
 from ..result.sheet import FormedSheet
 
 FloatArray = np.ndarray
 ANGLE = "shear_angle"
+SIDES = ("result", "reference")
+IGL = ("igl", "surface", "closest points on a formed surface need libigl")
 WAYS = {"flat": "by flat coordinates", "formed": "by the closest point of the formed surface"}
 
 
 def way(by: str, one: FormedSheet, other: FormedSheet) -> str:
     """How two sheets are matched, "flat" or "formed"; InputError if they cannot be so."""
-    can = {
-        "flat": one.flat is not None and other.flat is not None,
-        "formed": one.points is not None and other.points is not None,
-    }
-    if by == "auto":
-        by = next((name for name, possible in can.items() if possible), "")
-        if not by:
-            raise InputError(
-                "one sheet has flat coordinates only, the other formed ones only: they cannot be "
-                "matched"
-            )
-    elif not can[by]:
+    known = (("flat", one.flat, other.flat), ("formed", one.points, other.points))
+    can = [name for name, a, b in known if a is not None and b is not None]
+    if by == "auto" and not can:
+        raise InputError(
+            "one sheet has flat coordinates only, the other formed ones only: they cannot be "
+            "matched"
+        )
+    if by not in ("auto", *can):
         raise InputError(f"not both sheets have {by} coordinates: they cannot be matched by them")
-    return by
+    return can[0] if by == "auto" else by
 
 
 def spacing(sheet: FormedSheet) -> float:
@@ -54,24 +51,20 @@ def mapped(
 
     nan at points farther than `within` (mm; the spacing of the source's points if not given).
     """
-    from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
     from scipy.spatial import cKDTree
 
-    reach, gamma = spacing(source), source.point_fields[ANGLE]
+    apart, gamma = spacing(source), source.point_fields[ANGLE]
+    reach = apart if within is None else within
     if by == "flat":
         known = np.isfinite(gamma)
-        X, values = source.flat[known], gamma[known]
-        distance, _ = cKDTree(X).query(target.flat)
-        found = LinearNDInterpolator(X, values)(target.flat)
-        outside = np.isnan(found)
-        found[outside] = NearestNDInterpolator(X, values)(target.flat[outside])
+        distance, _ = cKDTree(source.flat[known]).query(target.flat)
+        found = interpolated(source.flat[known], gamma[known], target.flat)
         # inside a mesh, a point is no farther from a node than the nodes are from each other
-        reach = max(reach, reach if within is None else within)
+        reach = max(reach, apart)
+    elif not len(source.triangles):
+        raise InputError("closest points need triangles")
     else:
-        if not len(source.triangles):
-            raise InputError("closest points need triangles")
         found, distance = on_surface(gamma, source, target.points)
-        reach = reach if within is None else within
     found[distance > reach] = np.nan
     return found
 
@@ -82,19 +75,15 @@ def on_surface(
     """Values (n_nodes, ...) of a sheet at its closest points to (n, 3) points; the distances."""
     distance, corners, nearest = closest(points, sheet)
     places = [np.ascontiguousarray(p) for p in sheet.points[corners].transpose(1, 0, 2)]
-    shares = _igl().barycentric_coordinates(nearest, *places)
+    shares = optional(*IGL).barycentric_coordinates(nearest, *places)
     return np.einsum("nk,nk...->n...", shares, values[corners]), distance
 
 
 def closest(points: FloatArray, sheet: FormedSheet) -> tuple[FloatArray, np.ndarray, FloatArray]:
     """Closest points of a formed surface: distance (n,), corners (n, 3) and place (n, 3)."""
-    squared, triangle, nearest = _igl().point_mesh_squared_distance(
+    squared, triangle, nearest = optional(*IGL).point_mesh_squared_distance(
         np.ascontiguousarray(points, dtype=float),
         np.ascontiguousarray(sheet.points, dtype=float),
         np.ascontiguousarray(sheet.triangles, dtype=np.int64),
     )
     return np.sqrt(squared), sheet.triangles[triangle], nearest
-
-
-def _igl() -> ModuleType:
-    return optional("igl", "surface", "closest points on a formed surface need libigl")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..draw.plot import COLOURS, DPI, FIRST, SCALES, SECOND, STYLE, WIDTH
-from .mapping import ANGLE
+from .mapping import ANGLE, SIDES
 from .place import rim
 
 if TYPE_CHECKING:
@@ -24,7 +24,14 @@ if TYPE_CHECKING:
     Fields = dict[str, tuple[FormedSheet, np.ndarray]]
 
 FloatArray = np.ndarray
-SIDES = ("result", "reference")
+LINES = (
+    {"color": FIRST, "label": "result"},
+    {"color": SECOND, "label": "reference", "linestyle": "--"},
+)
+TITLES = {
+    "outlines": "outlines",
+    "difference": "difference: result - reference,\non the {on}'s shape",
+}
 
 
 def draw(
@@ -48,16 +55,24 @@ def draw(
         rows = -(-len(panels) // columns)
         figure = Figure(figsize=(WIDTH, 2.9 * rows), layout="constrained")
         grid = figure.subplots(rows, columns, squeeze=False).ravel()
-        (left, bottom), (right, top) = _frame(sheets)
+        seen = [s.places[:, :2] if s.contour is None else s.contour[:, :2] for s in sheets]
+        low, high = np.min([p.min(0) for p in seen], 0), np.max([p.max(0) for p in seen], 0)
+        margin = 0.04 * (high - low).max()
+        (left, bottom), (right, top) = low - margin, high + margin
         for axes, panel in zip(grid, panels, strict=False):
             if panel == "force":
-                _force(axes, forces)
+                for values, style in zip(forces[1:], LINES, strict=True):
+                    axes.plot(forces[0], values, **style)
+                axes.set(xlabel="travel, mm", ylabel="force, N")
+                axes.legend()
                 continue
             if panel in fields:
                 _field(figure, axes, panel, fields, locking)
             _outlines(axes, sheets, panel)
-            on = "result" if field is sheets[0] else "reference"
-            axes.set_title(_title(panel, fields, on), parse_math=False)
+            flat = panel in fields and fields[panel][0].points is None
+            title = TITLES.get(panel, "γ of the {panel}") + ", on the flat blank" * flat
+            on = SIDES[field is not sheets[0]]
+            axes.set_title(title.format(panel=panel, on=on), parse_math=False)
             axes.set(aspect="equal", xlim=(left, right), ylim=(bottom, top))
             axes.set(xlabel="x, mm", ylabel="y, mm")
         for axes in grid[len(panels) :]:
@@ -74,31 +89,8 @@ def fields_of(sheets: Sheets, field: FormedSheet | None, gamma: FloatArray | Non
     return own | {"difference": (field, gamma[0] - gamma[1])}
 
 
-def _frame(sheets: Sheets) -> FloatArray:
-    """(2, 2) lower left and upper right of all that is drawn, with a margin, mm."""
-    seen = [sheet.places[:, :2] for sheet in sheets if sheet.contour is None]
-    lines = [line.coords for line in map(rim, sheets) if line is not None]
-    points = np.vstack([*seen, *lines])
-    low, high = points.min(0), points.max(0)
-    margin = 0.04 * (high - low).max()
-    return np.array([low - margin, high + margin])
-
-
-def _title(panel: str, fields: Fields, on: str) -> str:
-    if panel not in fields:
-        return panel
-    where = "" if fields[panel][0].points is not None else ", on the flat blank"
-    if panel == "difference":
-        return f"difference: result - reference,\non the {on}'s shape{where}"
-    return f"γ of the {panel}{where}"
-
-
 def _field(
-    figure: Figure,
-    axes: Axes,
-    panel: str,
-    fields: Fields,
-    locking: tuple[float, ...],
+    figure: Figure, axes: Axes, panel: str, fields: Fields, locking: tuple[float, ...]
 ) -> None:
     """Colours of a panel, and their bar; one scale for both sheets, marked at locking."""
     sheet, values = fields[panel]
@@ -130,17 +122,9 @@ def _field(
 
 
 def _outlines(axes: Axes, sheets: Sheets, panel: str) -> None:
-    for sheet, colour, side in zip(sheets, (FIRST, SECOND), SIDES, strict=True):
+    for sheet, style in zip(sheets, LINES, strict=True):
         line = rim(sheet)
-        if line is not None and panel in (side, "difference", "outlines"):
-            axes.plot(*line.xy, color=colour, linewidth=0.7, label=side)
+        if line is not None and panel in (style["label"], "difference", "outlines"):
+            axes.plot(*line.xy, **style | {"linestyle": "-", "linewidth": 0.7})
     if panel in ("outlines", "difference") and axes.get_legend_handles_labels()[0]:
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=2)
-
-
-def _force(axes: Axes, forces: FloatArray) -> None:
-    s, mine, theirs = forces
-    axes.plot(s, mine, color=FIRST, label="result")
-    axes.plot(s, theirs, color=SECOND, linestyle="--", label="reference")
-    axes.set(xlabel="travel, mm", ylabel="force, N")
-    axes.legend()

@@ -50,10 +50,7 @@ def rim(sheet: FormedSheet) -> shapely.LineString | None:
 
 
 def unfolded(sheet: FormedSheet, mirror: tuple[str, ...], signed: bool) -> FormedSheet:
-    """Mirror a part of a sheet at the planes x = 0, y = 0 into the whole.
-
-    Where γ is `signed`, it is zero at the planes. A sheet on both sides of one raises InputError.
-    """
+    """Mirror a part of a sheet at the planes x = 0, y = 0, where γ is zero if it is `signed`."""
     for plane in mirror:
         axis = "xy".index(plane)
         sheet = _mirrored(sheet, axis, signed) if sheet.contour is None else _doubled(sheet, axis)
@@ -64,8 +61,7 @@ def _mirrored(sheet: FormedSheet, axis: int, signed: bool) -> FormedSheet:
     along, slack = sheet.rest[:, axis], ON_PLANE * spacing(sheet)
     _check_side(along, slack, axis)
     on = np.abs(along) <= slack
-    number = np.arange(len(along))
-    number[~on] = len(along) + np.arange((~on).sum())
+    number = np.where(on, np.arange(len(along)), len(along) - 1 + np.cumsum(~on))
     sign, meshed = -1.0 if signed else 1.0, len(sheet.triangles) > 0
 
     def both(values: FloatArray | None) -> FloatArray | None:
@@ -84,8 +80,7 @@ def _mirrored(sheet: FormedSheet, axis: int, signed: bool) -> FormedSheet:
         both(sheet.flat),
         {name: angle(v) for name, v in sheet.point_fields.items() if name == ANGLE},
         {name: np.append(v, sign * v) for name, v in sheet.cell_fields.items() if name == ANGLE},
-        sheet.name,
-        sheet.travel,
+        *(sheet.name, sheet.travel),
     )
 
 
@@ -93,18 +88,15 @@ def _doubled(sheet: FormedSheet, axis: int) -> FormedSheet:
     """Mirror a contour; what of it runs along the plane is no outline and is left out."""
     import shapely
 
-    size = np.ptp(sheet.contour, axis=0).max()
-    near, far = 1e-3 * size, 2 * np.abs(sheet.contour).max()
+    near = 1e-3 * np.ptp(sheet.contour, axis=0).max()
     _check_side(sheet.contour[:, axis], near, axis)
-    side = 1.0 if sheet.contour[:, axis].max() > near else -1.0
-    low, high = np.full(2, -far), np.full(2, far)
-    (low if side > 0 else high)[axis] = side * near
-    line = shapely.line_merge(rim(sheet).intersection(shapely.box(*low, *high)))
+    plane = shapely.LineString(np.outer([-1e6, 1e6], np.eye(2)[1 - axis])).buffer(near)
+    line = shapely.line_merge(rim(sheet).difference(plane))
     points = shapely.get_coordinates(line)
     ends = np.abs(points[[0, -1], axis]) <= 2 * near
     if line.geom_type != "LineString" or not ends.any():
-        plane = "xy"[axis]
-        raise InputError(f"mirror {plane}: the contour does not end at {plane} = 0")
+        name = "xy"[axis]
+        raise InputError(f"mirror {name}: the contour does not end at {name} = 0")
     points = points if ends[1] else points[::-1]
     flip = np.where(np.arange(2) == axis, -1.0, 1.0)
     last = points[:1] if ends.all() else points[:0]
@@ -121,11 +113,7 @@ def _check_side(along: FloatArray, slack: float, axis: int) -> None:
 
 
 def aligned(sheet: FormedSheet, result: FormedSheet, turning: bool) -> tuple[FormedSheet, str]:
-    """Move a reference to where it fits the result best, turned about z or only shifted.
-
-    Returns the sheet, and the motion with what is left of the distances as text. Raises InputError
-    if there is nothing to fit.
-    """
+    """Move a reference to where it fits the result best; the motion and what is left as text."""
     import shapely
 
     own, line = rim(sheet), rim(result)
@@ -153,12 +141,11 @@ def aligned(sheet: FormedSheet, result: FormedSheet, turning: bool) -> tuple[For
         if edge is not None:
             p = moved(edge, motion)
             along = shapely.line_locate_point(line, shapely.points(p))
-            on = shapely.get_coordinates(shapely.line_interpolate_point(line, along))
-            parts.append((p - on).ravel() / np.sqrt(len(p)))
+            parts.append(p - shapely.get_coordinates(shapely.line_interpolate_point(line, along)))
         if with_body:
             p = moved(body, motion)
-            parts.append((p - closest(p, result)[2]).ravel() / np.sqrt(len(p)))
-        return np.concatenate(parts)
+            parts.append(p - closest(p, result)[2])
+        return np.concatenate([part.ravel() / np.sqrt(len(part)) for part in parts])
 
     turns = np.radians(360.0 / STARTS * (np.arange(STARTS) - STARTS // 2)) if turning else [0.0]
     rms, motion, several = _best(lambda motion: off(motion, edge is None), turns, edge is None)
@@ -166,13 +153,10 @@ def aligned(sheet: FormedSheet, result: FormedSheet, turning: bool) -> tuple[For
         free = np.array([True, True, True, turning])
         rms, motion = _fitted(lambda motion: off(motion, True), motion, free)
     shift = moved(np.zeros((1, 2 if body is None else 3)), motion)[0]
-    words = (
-        f"turned by {np.degrees(motion[3]):.3g}° about z and shifted by "
-        f"({', '.join(f'{v:.3g}' for v in shift)}) mm, leaving {rms:.3g} mm (root mean square)"
-        f"{'; other turns fit as well, the smallest was taken' * several}"
-    )
-    names = ("points", "flat", "contour")
-    given = {name: getattr(sheet, name) for name in names}
+    words = f"turned by {np.degrees(motion[3]):.3g}° about z and shifted by "
+    words += f"({', '.join(f'{v:.3g}' for v in shift)}) mm, leaving {rms:.3g} mm (root mean square)"
+    words += "; other turns fit as well, the smallest was taken" * several
+    given = {name: getattr(sheet, name) for name in ("points", "flat", "contour")}
     placed = {name: moved(p, motion) for name, p in given.items() if p is not None}
     return replace(sheet, **placed), words
 

@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -46,51 +46,26 @@ HISTORY = ("travel", "force", "kinetic", "internal")
 
 @dataclass(frozen=True)
 class Reading:
-    """How a file is read where it does not say so itself.
+    """How a file is read where it does not say so itself."""
 
-    Parameters
-    ----------
-    field : str, optional
-        Name of the field or column of the angle; "none" for a mesh to be taken for its form only.
-    angle : "shear" or "between"
-        What it is: the shear angle γ, or the angle between the fibres, 90° - γ.
-    radians : bool
-        Whether it is in radians.
-    signed : bool
-        Keep the sign of γ; |γ| otherwise.
-    orientation : float
-        Angle of the warp to x, degrees, where γ is worked out from the displacements.
-    values : path, optional
-        CSV by node or element label that goes with an .inp file.
-    coordinates : "formed" or "flat", optional
-        What the coordinates of a file are.
-    scale : float
-        mm per unit of its lengths.
-    travel : float, optional
-        Travel of its last state, mm; the times of a series are taken in proportion.
-    history : path, optional
-        CSV of travel and force, and of kinetic and internal energy, in place of a folder's own.
-    force_factor : float
-        Of the forces and energies: 4 where they are those of a modelled quarter.
-    """
-
-    field: str | None = None
-    angle: str = "shear"
+    field: str | None = None  # name of that of the angle; "none": the mesh is for its form only
+    angle: str = "shear"  # or "between": the angle between the fibres, 90° - γ
     radians: bool = False
-    signed: bool = False
-    orientation: float = 0.0
-    values: str | Path | None = None
-    coordinates: str | None = None
-    scale: float = 1.0
-    travel: float | None = None
-    history: str | Path | None = None
-    force_factor: float = 1.0
+    signed: bool = False  # keep the sign of γ
+    orientation: float = 0.0  # of the warp to x, degrees, to find γ from displacements
+    values: str | Path | None = None  # CSV by node or element label that goes with an .inp file
+    coordinates: str | None = None  # what those of the file are: "formed" or "flat"
+    scale: float = 1.0  # mm per unit of its lengths
+    travel: float | None = None  # of its last state, mm; times of a series are in proportion
+    history: str | Path | None = None  # CSV of travel, force, energies, in place of the folder's
+    force_factor: float = 1.0  # of forces and energies: 4 where they are those of a quarter
 
     def __post_init__(self) -> None:
-        if self.angle not in ("shear", "between"):
-            raise InputError(f"angle must be 'shear' or 'between', got {self.angle!r}")
-        if self.coordinates not in (None, "formed", "flat"):
-            raise InputError(f"coordinates must be 'formed' or 'flat', got {self.coordinates!r}")
+        for name, known in (("angle", ("shear", "between")), ("coordinates", ("formed", "flat"))):
+            value = getattr(self, name)
+            if value not in (*known, Reading.__dataclass_fields__[name].default):
+                one, other = known
+                raise InputError(f"{name} must be '{one}' or '{other}', got {value!r}")
         check_number("scale", self.scale)
         check_number("force_factor", self.force_factor)
         if self.travel is not None:
@@ -111,32 +86,15 @@ class Reading:
 
 @dataclass(frozen=True, eq=False)
 class Side:
-    """Sheets along the travel, with their history.
-
-    Parameters
-    ----------
-    name : str
-    sheets : Sheets
-        By travel, mm; a single one at None where it is not known.
-    history : mapping of str to (k,) arrays
-        travel (mm), force (N), kinetic and internal (energies, mJ), as far as they are known.
-    areas : mapping of str to (centre, radius)
-        Discs of the flat blank, mm.
-    notes : tuple of str
-        How it was read, for the report.
-    scene : str
-        Scene that a run is of; empty where it is not known.
-    locking : float, optional
-        Shear angle at which its fabric locks, degrees.
-    """
+    """Sheets along the travel, with their history."""
 
     name: str
-    sheets: Sheets
-    history: Mapping[str, FloatArray] = field(default_factory=dict)
-    areas: Mapping[str, tuple[tuple[float, float], float]] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
-    scene: str = ""
-    locking: float | None = None
+    sheets: Sheets  # by travel, mm; a single one at None where it is not known
+    history: Mapping[str, FloatArray] = field(default_factory=dict)  # columns `HISTORY`
+    areas: Mapping[str, tuple[tuple[float, float], float]] = field(default_factory=dict)  # discs
+    notes: tuple[str, ...] = ()  # how it was read
+    scene: str = ""  # of a run; empty where it is not known
+    locking: float | None = None  # shear angle at which its fabric locks, degrees
 
     @property
     def end(self) -> float | None:
@@ -144,13 +102,7 @@ class Side:
         return self.sheets.travels[-1]
 
     def at(self, travel: float | None) -> tuple[FormedSheet, str]:
-        """Sheet at a travel, interpolated between two on one mesh; and how it was found.
-
-        Raises
-        ------
-        InputError
-            If the run does not reach the travel.
-        """
+        """Sheet at a travel, interpolated between two on one mesh; and how it was found."""
         if travel is None or self.end is None:
             return self.sheets[-1], "its only state"
         s = np.array(self.sheets.travels, dtype=float)
@@ -159,42 +111,30 @@ class Side:
             return self.sheets[near], f"its state at {s[near]:.6g} mm"
         if not s[0] <= travel <= s[-1]:
             own = f"has {s[0]:g} to {s[-1]:g} mm" if len(s) > 1 else f"is at {s[0]:g} mm"
-            raise InputError(
-                f"{self.name}: travels do not overlap: it {own}, asked for {travel:g} mm"
-            )
+            words = f"travels do not overlap: it {own}, asked for {travel:g} mm"
+            raise InputError(f"{self.name}: {words}")
         i = int(np.searchsorted(s, travel))
         before, after = self.sheets[i - 1], self.sheets[i]
         one_mesh = len(before.triangles) and np.array_equal(before.triangles, after.triangles)
         if not (one_mesh and len(before.places) == len(after.places)):
-            return self.sheets[near], (
-                f"its nearest state, at {s[near]:.6g} mm (the mesh changes on the way)"
-            )
+            words = f"its nearest state, at {s[near]:.6g} mm (the mesh changes on the way)"
+            return self.sheets[near], words
         share = (travel - s[i - 1]) / (s[i] - s[i - 1])
 
-        def mixed(p: FloatArray, q: FloatArray) -> FloatArray:
-            return (1 - share) * p + share * q
+        def mixed(p: Any, q: Any) -> Any:
+            """Between two arrays, or two tables of them."""
+            if isinstance(p, Mapping):
+                return {name: mixed(p[name], q[name]) for name in p if name in q}
+            return None if p is None else (1 - share) * p + share * q
 
-        def fields(p: Mapping[str, FloatArray], q: Mapping[str, FloatArray]) -> dict:
-            return {name: mixed(p[name], q[name]) for name in p if name in q}
-
-        sheet = replace(
-            before,
-            points=None if before.points is None else mixed(before.points, after.points),
-            point_fields=fields(before.point_fields, after.point_fields),
-            cell_fields=fields(before.cell_fields, after.cell_fields),
-            travel=travel,
-        )
-        return sheet, f"interpolated between {s[i - 1]:.6g} and {s[i]:.6g} mm"
+        names = ("points", "point_fields", "cell_fields")
+        between = {name: mixed(getattr(before, name), getattr(after, name)) for name in names}
+        words = f"interpolated between {s[i - 1]:.6g} and {s[i]:.6g} mm"
+        return replace(before, **between, travel=travel), words
 
 
 def read_side(source: Result | Record | str | Path, reading: Reading | None = None) -> Side:
-    """Read one side of a comparison.
-
-    Raises
-    ------
-    InputError
-        Naming the file and its defect, or the choice to be made.
-    """
+    """Read one side; InputError names the file and its defect, or the choice to be made."""
     reading = reading or Reading()
     if not isinstance(source, str | Path):
         return _of_record(Record.of(source), reading)
@@ -222,8 +162,8 @@ def read_side(source: Result | Record | str | Path, reading: Reading | None = No
         history = _history(read_table(Path(reading.history)))
         if len(history) < 2:
             raise InputError(f"{reading.history}: expected columns such as travel_mm and force_N")
-    factor = dict.fromkeys(("force", "kinetic", "internal"), reading.force_factor)
-    side = replace(side, history={k: factor.get(k, 1.0) * v for k, v in history.items()})
+    factor = dict.fromkeys(HISTORY, reading.force_factor) | {"travel": 1.0}
+    side = replace(side, history={k: factor[k] * v for k, v in history.items()})
     if side.end is None and "travel" in history:
         travel = float(history["travel"][-1])
         side = replace(side, sheets=Sheets([travel], side.sheets.__getitem__))
@@ -297,24 +237,21 @@ def _understood(
     """Sheet with its places and its shear angle, and how these were found."""
     chosen = None if reading.field == NO_FIELD else _field(sheet, reading, where)
     sheet, notes = _placed(sheet, reading, where)
-    by_triangle = None
+    by_point, whole, values = {}, {}, None
     if chosen is not None:
         kind, name = chosen
         values = reading.gamma(getattr(sheet, kind)[name])
         notes.append(f"angle from the {kind.removesuffix('_fields')} field '{name}'")
         if kind == "point_fields":
-            return replace(sheet, point_fields={ANGLE: values}, cell_fields={}), tuple(notes)
-        by_triangle = values
+            by_point, values = {ANGLE: values}, None
     elif reading.field != NO_FIELD and sheet.points is not None and sheet.flat is not None:
         values = sheet.sheared(rotation(reading.orientation).T)
-        by_triangle = values if reading.signed else np.abs(values)
-        notes.append(
-            f"angle worked out from the displacements, warp at {reading.orientation:g}° to x"
-        )
-    if by_triangle is None:
-        return replace(sheet, point_fields={}, cell_fields={}), tuple(notes)
-    by_point = {ANGLE: sheet.at_nodes(by_triangle)}
-    whole = {ANGLE: by_triangle} if np.isfinite(by_triangle).all() else {}
+        values = values if reading.signed else np.abs(values)
+        words = "angle worked out from the displacements, warp at"
+        notes.append(f"{words} {reading.orientation:g}° to x")
+    if values is not None:  # by triangle
+        by_point = {ANGLE: sheet.at_nodes(values)}
+        whole = {ANGLE: values} if np.isfinite(values).all() else {}
     return replace(sheet, point_fields=by_point, cell_fields=whole), tuple(notes)
 
 
@@ -329,8 +266,7 @@ def _placed(sheet: FormedSheet, reading: Reading, where: object) -> tuple[Formed
         return replace(sheet, points=points, flat=flat), []
     moved = reading.scale * np.asarray(sheet.point_fields[name], dtype=float)
     moved = np.pad(moved.reshape(len(points), -1), ((0, 0), (0, 3)))[:, :3]
-    if not np.isfinite(moved).all():
-        lost = len(moved) - np.isfinite(moved).all(1).sum()
+    if lost := (~np.isfinite(moved).all(1)).sum():
         raise InputError(f"{where}: {lost} nodes have no displacement")
     given, notes = reading.coordinates, []
     if given is None:
@@ -349,26 +285,22 @@ def _placed(sheet: FormedSheet, reading: Reading, where: object) -> tuple[Formed
 
 def _field(sheet: FormedSheet, reading: Reading, where: object) -> tuple[str, str] | None:
     """Where the angle is: ("point_fields" or "cell_fields", name); None to work it out."""
+    both = {"cell": sheet.cell_fields, "point": sheet.point_fields}
     scalars = [
-        (kind, name)
-        for kind in ("cell_fields", "point_fields")
-        for name, values in getattr(sheet, kind).items()
+        (f"{kind}_fields", name)
+        for kind, fields in both.items()
+        for name, values in fields.items()
         if np.ndim(values) == 1 or np.shape(values)[1:] == (1,)
     ]
     names = [name for _, name in scalars]
-    present = "; ".join(
-        f"{words} fields: {', '.join(fields) if fields else 'none'}"
-        for words, fields in (("cell", sheet.cell_fields), ("point", sheet.point_fields))
-    )
+    present = "; ".join(f"{k} fields: {', '.join(fields) or 'none'}" for k, fields in both.items())
+    for key in scalars:
+        named = key[1] == reading.field or (reading.values and key[1] == "angle")
+        if named if reading.field is not None else name_of(key[1])[0] == "angle":
+            return key
     if reading.field is not None:
-        for key in scalars:
-            if key[1] == reading.field or (reading.values and key[1] == "angle"):
-                return key
         nearest = f": {suggestion(reading.field, names)}" if names else ""
         raise InputError(f"{where}: no field '{reading.field}'{nearest} ({present})")
-    for key in scalars:
-        if name_of(key[1])[0] == "angle":
-            return key
     if names and not any(name.casefold() in DISPLACEMENTS for name in sheet.point_fields):
         raise InputError(
             f"{where}: no field of a shear angle known by its name: choose one with field=... "
@@ -386,19 +318,17 @@ def _of_inp(path: Path, reading: Reading) -> FormedSheet:
         table = read_table(Path(reading.values), reading.column)
         key = next((name for name in fields if name in table), None)
         if key is None:
-            raise InputError(
-                f"{reading.values}: no column of node or element labels ('node', 'element')"
-            )
-        parts = ("u1", "u2", "u3")
-        columns = {k: v for k, v in table.items() if k not in (*fields, *parts)}
-        if all(part in table for part in parts):
-            columns["displacement"] = np.column_stack([table[part] for part in parts])
+            words = "no column of node or element labels ('node', 'element')"
+            raise InputError(f"{reading.values}: {words}")
+        labels, first = np.unique(table.pop(key).astype(int), return_index=True)
+        parts = [table.pop(name, None) for name in ("u1", "u2", "u3")]
+        if all(part is not None for part in parts):
+            table["displacement"] = np.column_stack(parts)
         asked = shells.nodes if key == "node" else shells.elements[rows]
-        labels = list(enumerate(table[key].astype(int).tolist()))
-        place = {label: row for row, label in reversed(labels)}  # the first of those that repeat
-        found = np.array([place.get(label, -1) for label in asked.tolist()])
-        for name, column in columns.items():
-            fields[key][name] = np.concatenate([column, np.full_like(column[:1], np.nan)])[found]
+        at = np.searchsorted(labels, asked).clip(max=len(labels) - 1)
+        for name, column in table.items():
+            known = (labels[at] == asked).reshape(-1, *[1] * (column.ndim - 1))
+            fields[key][name] = np.where(known, column[first[at]], np.nan)
     made = (shells.points, triangles, fields["node"], fields["element"])
     return readable(path, lambda: FormedSheet.of_surface(*made))
 
@@ -418,22 +348,23 @@ def _of_table(path: Path, reading: Reading) -> Side:
         return reading.scale * np.column_stack([table[name] for name in names])
 
     plan, formed, flat = columns("x", "y"), columns("x", "y", "z"), columns("x0", "y0")
+    contour = "angle" not in table or reading.field == NO_FIELD
     if plan is None and flat is None:
         raise InputError(f"{path}: expected columns x and y, got {', '.join(table)}")
-    if "angle" not in table or reading.field == NO_FIELD:
-        if plan is None or len(plan) < 3:
-            raise InputError(f"{path}: a contour needs three points x, y (and a field an angle)")
+    if contour and (plan is None or len(plan) < 3):
+        raise InputError(f"{path}: a contour needs three points x, y (and a field an angle)")
+    if flat is None and reading.coordinates == "flat":
+        flat, formed = plan, None
+    if not contour and flat is None and formed is None:
+        words = (
+            "are x and y flat or formed coordinates? say coordinates = 'flat', or name the columns "
+            "x0, y0 (flat) or x, y, z (formed)",
+            "formed coordinates need x, y and z",
+        )
+        raise InputError(f"{path}: {words[reading.coordinates is not None]}")
+    if contour:
         sheet = FormedSheet(contour=np.vstack([plan, plan[:1]]) if _closes(plan) else plan)
     else:
-        if flat is None and reading.coordinates == "flat":
-            flat, formed = plan, None
-        elif flat is None and formed is None:
-            raise InputError(
-                f"{path}: are x and y flat or formed coordinates? say coordinates = 'flat', or "
-                "name the columns x0, y0 (flat) or x, y, z (formed)"
-                if reading.coordinates is None
-                else f"{path}: formed coordinates need x, y and z"
-            )
         angle = {ANGLE: reading.gamma(table["angle"])}
         sheet = FormedSheet(formed, flat=flat, point_fields=angle)
     return Side(path.stem, Sheets([reading.travel], lambda _: sheet))

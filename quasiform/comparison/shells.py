@@ -12,31 +12,18 @@ from ..checks import InputError
 from ..result.sheet import FormedSheet
 
 FloatArray = np.ndarray
-CORNERS = {"S3": 3, "STRI3": 3, "STRI65": 3, "M3D3": 3, "SFM3D3": 3, "CPS3": 3, "CPE3": 3}
-CORNERS |= {"S4": 4, "S8": 4, "S9": 4, "M3D4": 4, "SFM3D4": 4, "CPS4": 4, "CPE4": 4}
-CORNERS |= {"R3D3": 3, "R3D4": 4}
+CORNERS = dict.fromkeys("S3 STRI3 STRI65 M3D3 SFM3D3 CPS3 CPE3 R3D3".split(), 3)
+CORNERS |= dict.fromkeys("S4 S8 S9 M3D4 SFM3D4 CPS4 CPE4 R3D4".split(), 4)
 
 
 @dataclass(frozen=True, eq=False)
 class Shells:
-    """Shell elements with labels.
+    """Shell elements with labels."""
 
-    Parameters
-    ----------
-    points : (n, 3) array
-        mm.
-    nodes : (n,) int array
-        Labels.
-    corners : (m, 4) int array
-        Rows of `points`; the last is -1 in a triangle.
-    elements : (m,) int array
-        Labels.
-    """
-
-    points: FloatArray
-    nodes: np.ndarray
-    corners: np.ndarray
-    elements: np.ndarray
+    points: FloatArray  # (n, 3), mm
+    nodes: np.ndarray  # (n,) labels
+    corners: np.ndarray  # (m, 4) rows of `points`; the last is -1 in a triangle
+    elements: np.ndarray  # (m,) labels
 
     @classmethod
     def counted(cls, points: FloatArray, corners: np.ndarray) -> Shells:
@@ -52,10 +39,8 @@ class Shells:
     @property
     def centroids(self) -> FloatArray:
         """(m, 3) means of the corners, mm."""
-        total = self.points[self.corners[:, :3]].sum(1)
-        return np.where(
-            self.triangular[:, None], total / 3, (total + self.points[self.corners[:, 3]]) / 4
-        )
+        total, last = self.points[self.corners[:, :3]].sum(1), self.points[self.corners[:, 3]]
+        return np.where(self.triangular[:, None], total / 3, (total + last) / 4)
 
     @property
     def normals(self) -> FloatArray:
@@ -92,10 +77,8 @@ def read_inp(path: Path, refused: tuple[str, ...] = ("INCLUDE",)) -> Shells:
             raise InputError(f"line {number}: too few numbers: {row}")
         table, label = cells[rigid] if corners else nodes, int(row[0])
         if label in table:
-            raise InputError(
-                f"line {number}: the label {label} repeats: write the model without parts and "
-                "instances"
-            )
+            remedy = "write the model without parts and instances"
+            raise InputError(f"line {number}: the label {label} repeats: {remedy}")
         values = [int(v) for v in row[1 : corners + 1]] if corners else [*row[1:4], 0.0, 0.0][:3]
         table[label] = values
     if not nodes:
@@ -105,12 +88,9 @@ def read_inp(path: Path, refused: tuple[str, ...] = ("INCLUDE",)) -> Shells:
         rows = [[*(place[v] for v in cell), *[-1] * (4 - len(cell))] for cell in chosen.values()]
     except KeyError as error:
         raise InputError(f"an element refers to node {error}, which is not there") from None
-    return Shells(
-        np.array(list(nodes.values())).reshape(-1, 3),
-        np.array(list(nodes), dtype=int),
-        np.array(rows, dtype=int).reshape(-1, 4),
-        np.array(list(chosen), dtype=int),
-    )
+    points, corners = np.reshape(list(nodes.values()), (-1, 3)), np.reshape(rows, (-1, 4))
+    labels = np.array(list(nodes), dtype=int), np.array(list(chosen), dtype=int)
+    return Shells(points, labels[0], corners.astype(int), labels[1])
 
 
 def _rows(text: str, refused: tuple[str, ...]) -> Iterator[tuple[int, int, bool, list[float]]]:
@@ -121,9 +101,8 @@ def _rows(text: str, refused: tuple[str, ...]) -> Iterator[tuple[int, int, bool,
         if line.startswith("*") and not line.startswith("**"):
             keyword, *words = (word.strip().upper() for word in line[1:].split(","))
             if keyword in refused:
-                raise InputError(
-                    f"line {number}: *{keyword} is not followed: put the mesh into one file"
-                )
+                remedy = "put the mesh into one file"
+                raise InputError(f"line {number}: *{keyword} is not followed: {remedy}")
             kind = next((w.partition("=")[2].strip() for w in words if w[:4] == "TYPE"), "")
             named = [name for name in CORNERS if kind.startswith(name)]
             corners = CORNERS[max(named, key=len)] if named and keyword == "ELEMENT" else 0

@@ -27,7 +27,7 @@ from ..model import Model
 from ..result.summary import package_version
 from ..tools.shapes import Tool
 from .inp import DENSITY
-from .keywords import fill
+from .keywords import fill, render
 from .tool_surface import fine_enough, from_scene_file, sampled
 
 FloatArray = np.ndarray
@@ -36,10 +36,6 @@ SETTLE = 0.02  # s, for the holder to come to rest
 MARGIN = 10.0  # mm of tool around the sheet
 OFF = 0.1  # of the thickness: how far triangles may be off a tool in closed form
 SOFT = 0.01  # shear modulus of the shells over that of the fabric at rest
-NOT_RUN = (
-    "the deck is not run: its syntax is checked only; mass scaling and the time are yours "
-    "to choose, watch the kinetic energy"
-)
 KNOWN = (Membrane, Bending, Contact, Friction, SheetWeight, ToolWeight)
 
 
@@ -80,48 +76,50 @@ def abaqus_deck(
     InputError
         For bad numbers, or a file that cannot be written.
     """
-    path = Path(path)
+    path, blank = Path(path), model.sheet.blank
     check_number("speed", speed)
-    if spacing is not None:
-        check_number("spacing", spacing)
+    check_number("spacing", 1.0 if spacing is None else spacing)
     if path.exists() and not force:
         raise InputError(f"{path} exists already: choose another name, or replace it with --force")
-    notices: list[str] = []
     bends = any(isinstance(term, Bending) for term in model.terms)
-    if not bends:
-        notices.append("membranes alone: the model has no bending")
     places = model.sheet.positions(model.x0)
     places = np.pad(places, ((0, 0), (0, 3 - places.shape[1])))
-    nodes, labels = 1 + np.arange(len(places)), 1 + np.arange(len(model.sheet.blank.triangles))
+    nodes, labels = 1 + np.arange(len(places)), 1 + np.arange(len(blank.triangles))
     offset = 10 ** len(str(max(nodes[-1], labels[-1])))
-    material = _material(model, bends, notices)
-    tools = _tools(model, places, spacing, (offset, offset * (1 + bends)), notices)
-    travel = _travel(model)
-    supports = _supports(model, travel, bends, notices)
-    motions = _motions(model, travel, tools, notices)
-    driven = model.travel if any(rigid.tool.motion == "driven" for rigid in tools) else 0.0
-    time = max(float(np.abs(_of_nodes(model, travel)).max()), driven, 1.0) / speed
+    tools = _tools(model, places, spacing, (offset, offset * (1 + bends)))
+    end = model.prescribed(model.travel)[0] - model.x0  # over the whole travel, mm
+    travel = np.where(model.fixed & (np.abs(end) > 1e-12), end, 0.0)
+    moved, fixed = travel[model.sheet.dofs], model.fixed[model.sheet.dofs]
+    supports = []  # name of a set, its nodes, what is fixed
+    for axis, plane in enumerate("xy"):
+        if plane in blank.mirror:
+            on = np.abs(blank.nodes[:, axis]) < 1e-9
+            fixed[on, axis] = False
+            supports.append((f"MIRROR_{plane.upper()}", nodes[on], f"{plane.upper()}SYMM"))
+    for axis, held in enumerate((fixed & (moved == 0)).T, 1):
+        if held.any():
+            supports.append((f"HELD_{axis}", nodes[held], f"{axis}, {axis}"))
+    driven = [rigid for rigid in tools if rigid.tool.motion == "driven"]
+    motions = [(f"{rigid.name}_REF", 3, travel[rigid.dof]) for rigid in driven]
+    motions += [(str(k + 1), axis + 1, moved[k, axis]) for k, axis in np.argwhere(moved)]
+    time = max(float(np.abs(moved).max()), model.travel if driven else 0.0, 1.0) / speed
     settling = [("the holder comes to rest", SETTLE)] * any(rigid.free for rigid in tools)
-    for term in model.terms:
-        if not isinstance(term, KNOWN):
-            notices.append(f"not in the deck: {getattr(term, 'name', type(term).__name__)}")
-    notices.insert(0, NOT_RUN)
+    others = [term for term in model.terms if not isinstance(term, KNOWN)]
+    values = {"model": model, "bends": bends, "tools": tools, **_material(model, bends)}
+    notices = render(
+        "deck_notices.txt",
+        **{"clamped": bends and fixed.any(), "soft": SOFT, **values},
+        unknown=[getattr(term, "name", type(term).__name__) for term in others],
+    ).splitlines()
     words = [f"Fabric {model.sheet.fabric.name}. Units N, mm, s, t, MPa.", *notices]
-    words += [f"{entry}: {why}" for entry, why in model.description]
+    values |= {"words": [*words, *(f"{entry}: {why}" for entry, why in model.description)]}
+    values |= {"nodes": nodes, "places": places, "membranes": labels, "shells": labels + offset}
+    values |= {"supports": supports, "motions": motions, "settle": SETTLE, "time": time}
+    values |= {"steps": [*settling, ("travel", time)], "gravity": 1e6 * GRAVITY}
+    values["heavy"] = any(isinstance(term, SheetWeight) for term in model.terms)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        fill(
-            "deck.inp",
-            path,
-            version=package_version(),
-            **{"model": model, "words": words, "bends": bends, "nodes": nodes, "places": places},
-            **{"membranes": labels, "shells": labels + offset, "tools": tools},
-            **{"supports": supports, "motions": motions, "settle": SETTLE, "time": time},
-            steps=[*settling, ("travel", time)],
-            heavy=any(isinstance(term, SheetWeight) for term in model.terms),
-            gravity=1e6 * GRAVITY,
-            **material,
-        )
+        fill("deck.inp", path, version=package_version(), **values)
     except OSError as error:
         raise InputError(f"cannot write to {path}: {error.strerror or error}") from error
     return tuple(notices)
@@ -142,37 +140,20 @@ def constants(fabric: Fabric) -> list[float]:
     return [*found, 0.0, *six(shear)]
 
 
-def _material(model: Model, bends: bool, notices: list[str]) -> dict[str, Any]:
+def _material(model: Model, bends: bool) -> dict[str, Any]:
     """Values of the sections and materials."""
     fabric, t0 = model.sheet.fabric, model.sheet.fabric.thickness
-    density = DENSITY * fabric.areal_weight / t0 / (1 + bends)
-    if not density:
-        notices.append("the fabric has no areal weight: an explicit run needs a density")
     # the bending stiffness of a homogeneous shell is E t³/12
     E = [12 * B / t0**3 for B in (fabric.bending_warp, fabric.bending_weft)]
     law = fabric.shear
     G = SOFT * (law.S12[1] / law.I6[1] if isinstance(law, TabulatedLaw) else law.C_ini)
-    fibre = min(fabric.warp.C_ini, fabric.weft.C_ini) * 4
-    if bends:
-        notices += [
-            f"the shells bend by E = 12 B/t0³ (warp {E[0]:.4g}, weft {E[1]:.4g} MPa), which adds "
-            f"{100 * max(E) / fibre:.2g} % to the fibres' tension stiffness; their two axes stay "
-            "at right angles, which the sheared fibres do not",
-            f"the shells' shear moduli are {SOFT:g} of the fabric's at rest (assumed): the fabric "
-            "has no stiffness against twisting",
-            "membranes and shells have half the mass each",
-        ]
-    if bends and fabric.in_plane_bending and model.sheet.dim == 3:
-        notices.append(
-            f"not in the deck: in-plane bending of the fibres ({fabric.in_plane_bending:g} of the "
-            "bending stiffness), which shells of this kind do not have"
-        )
     return {
         "t0": t0,
-        "density": density,
+        "density": DENSITY * fabric.areal_weight / t0 / (1 + bends),
         "axes": (*model.sheet.blank.warp, 0.0, *model.sheet.blank.weft, 0.0),
         "constants": [f"{value:.9g}" for value in constants(fabric)],
         "lamina": (*E, 0.0, G, G, G),
+        "added": max(E) / (4 * min(fabric.warp.C_ini, fabric.weft.C_ini)),
     }
 
 
@@ -186,7 +167,8 @@ class _Rigid:
     origin: FloatArray
     vertices: FloatArray
     triangles: np.ndarray
-    reference: int
+    sampled: tuple[float, ...]  # spacing as wanted and as taken, and how far off; empty: a file's
+    reference: int  # label of its node
     elements: np.ndarray
     load: float
     mass: float
@@ -201,11 +183,7 @@ class _Rigid:
 
 
 def _tools(
-    model: Model,
-    places: FloatArray,
-    spacing: float | None,
-    last: tuple[int, int],
-    notices: list[str],
+    model: Model, places: FloatArray, spacing: float | None, last: tuple[int, int]
 ) -> list[_Rigid]:
     """Tools of the model, labelled after the last node and the last element."""
     found: dict[str, _Rigid] = {}
@@ -214,48 +192,32 @@ def _tools(
         tool, dof = contact.tool, int(contact.tool_dofs[0])
         if tool.name in found:
             continue
-        vertices, triangles = _triangles(model, places, contact, spacing, notices)
+        surface = _triangles(model, places, contact, spacing)
         plain = "".join(c if c.isascii() and c.isalnum() else "_" for c in tool.name).upper()
         name = f"T_{plain}"[:60]
         while name in {rigid.name for rigid in found.values()}:
             name += "_2"
-        mass = tool.mass or tool.force / (1e3 * GRAVITY)
-        if tool.motion == "free" and not tool.mass:
-            notices.append(
-                f"the {tool.name} has a force and no mass: {mass:.3g} kg, which weigh as much, "
-                "stand in"
-            )
         weights = (term for term in model.terms if isinstance(term, ToolWeight))
-        found[tool.name] = _Rigid(
-            *(tool, dof, name, contact.origin(model.x0), vertices, triangles),
+        rigid = found[tool.name] = _Rigid(
+            *(tool, dof, name, contact.origin(model.x0), *surface),
             reference=last_node + 1,
-            elements=last_element + 1 + np.arange(len(triangles)),
+            elements=last_element + 1 + np.arange(len(surface[1])),
             load=sum(float(term.force) for term in weights if term.dofs[0, 0] == dof),
-            mass=1e-3 * mass * model.share,
+            mass=1e-3 * (tool.mass or tool.force / (1e3 * GRAVITY)) * model.share,
         )
-        last_node += 1 + len(vertices)
-        last_element += len(triangles) + found[tool.name].free
-    tilting = [rigid.tool.name for rigid in found.values() if rigid.tool.tilts]
-    notices += [
-        f"the {name} may not tilt in the deck: its moments of inertia are not known"
-        for name in tilting
-    ]
+        last_node += 1 + len(rigid.vertices)
+        last_element += len(rigid.triangles) + rigid.free
     return list(found.values())
 
 
 def _triangles(
-    model: Model,
-    places: FloatArray,
-    contact: Contact,
-    spacing: float | None,
-    notices: list[str],
-) -> tuple[FloatArray, np.ndarray]:
-    """Triangles of a tool in its own frame."""
+    model: Model, places: FloatArray, contact: Contact, spacing: float | None
+) -> tuple[FloatArray, np.ndarray, tuple[float, ...]]:
+    """Vertices and triangles of a tool in its own frame, and how it was sampled (`_Rigid`)."""
     tool, origin = contact.tool, contact.origin(model.x0)
     given = from_scene_file(tool, model.parameters, model.sheet.turn)
     if given is not None:
-        notices.append(f"the {tool.name} has the {len(given[1])} triangles of its file")
-        return given
+        return *given, ()
     deep = model.travel if model.travel_name == "travel_mm" else np.ptp(places, axis=0).max()
     margin = np.array([MARGIN, MARGIN, MARGIN + deep])
     low, high = places.min(0) - origin - margin, places.max(0) - origin + margin
@@ -264,63 +226,5 @@ def _triangles(
         low, high = np.maximum(low, box[0] - MARGIN), np.minimum(high, box[1] + MARGIN)
     fine = fine_enough(tool.shape, OFF * model.sheet.fabric.thickness)
     wanted = spacing or min(model.sheet.blank.size, fine)
-    vertices, triangles, taken, off = sampled(tool.shape, low, high, wanted)
-    coarser = f", not {wanted:.3g} as wanted," if taken > wanted * (1 + 1e-9) else ""
-    notices.append(
-        f"the {tool.name} is {len(triangles)} triangles about {taken:.3g} mm wide{coarser} "
-        f"sampled from its distance, at most {off:.2g} mm off"
-    )
-    return vertices, triangles
-
-
-def _travel(model: Model) -> FloatArray:
-    """Prescribed motion of all unknowns over the whole travel, mm."""
-    end = model.prescribed(model.travel)[0] - model.x0
-    return np.where(model.fixed & (np.abs(end) > 1e-12), end, 0.0)
-
-
-def _of_nodes(model: Model, values: np.ndarray) -> np.ndarray:
-    """(n_nodes, dim) values of the nodes among those of all unknowns."""
-    return values[model.sheet.dofs]
-
-
-def _supports(
-    model: Model, travel: FloatArray, bends: bool, notices: list[str]
-) -> list[tuple[str, np.ndarray, str]]:
-    """Sets of nodes that symmetry or the model holds: name, nodes, what is fixed."""
-    blank, found = model.sheet.blank, []
-    nodes = 1 + np.arange(len(blank.nodes))
-    fixed = _of_nodes(model, model.fixed).copy()
-    for axis, plane in enumerate("xy"):
-        if plane in blank.mirror:
-            on = np.abs(blank.nodes[:, axis]) < 1e-9
-            fixed[on, axis] = False
-            found.append((f"MIRROR_{plane.upper()}", nodes[on], f"{plane.upper()}SYMM"))
-    if blank.mirror:
-        notices.append(
-            f"{model.share:g} of the whole is modelled: multiply forces by {1 / model.share:g}"
-        )
-    if model.sheet.turn:
-        notices.append(
-            f"the deck is in the model's axes, turned by {model.sheet.turn:g}° from the user's"
-        )
-    for axis, held in enumerate((fixed & (_of_nodes(model, travel) == 0)).T, 1):
-        if held.any():
-            found.append((f"HELD_{axis}", nodes[held], f"{axis}, {axis}"))
-    if bends and fixed.any():
-        notices.append("supports hold places only: a clamp's rotations are not in the deck")
-    return found
-
-
-def _motions(
-    model: Model, travel: FloatArray, tools: list[_Rigid], notices: list[str]
-) -> list[tuple[str, int, float]]:
-    """Motion of driven tools and of prescribed nodes: node or set, axis, mm."""
-    if callable(model.drive):
-        notices.append("prescribed nodes go straight to their end, not along their path")
-    driven = [rigid for rigid in tools if rigid.tool.motion == "driven"]
-    moved = _of_nodes(model, travel)
-    return [
-        *((f"{rigid.name}_REF", 3, travel[rigid.dof]) for rigid in driven),
-        *((str(node + 1), axis + 1, moved[node, axis]) for node, axis in np.argwhere(moved)),
-    ]
+    vertices, triangles, *taken = sampled(tool.shape, low, high, wanted)
+    return vertices, triangles, (wanted, *taken)

@@ -19,13 +19,10 @@ from pathlib import Path
 import numpy as np
 
 from .fibres import FAMILIES, Fibres
-from .keywords import fill
+from .keywords import NOTICES, fill
 
 FloatArray = np.ndarray
 STEEP = np.sin(np.radians(5.0))  # a reference nearer to the normal has no projection
-NOT_RUN = "the tables follow the published format and were not run in the solver"
-NO_WEIGHT = "areal weight is not in the table: it falls as the thinning does"
-GENERAL = (NOT_RUN, NO_WEIGHT)  # true of every part
 
 
 def drape(fibres: Fibres, folder: Path, file: str, reference: FloatArray) -> tuple[str, ...]:
@@ -35,7 +32,7 @@ def drape(fibres: Fibres, folder: Path, file: str, reference: FloatArray) -> tup
     projected = reference - (n @ reference)[:, None] * n
     steep = np.linalg.norm(projected, axis=1) < STEEP
     along = "({:g}, {:g}, {:g})".format(*reference)
-    notices = [NOT_RUN]
+    notices = [NOTICES["tables_not_run"]]
     if (lost := steep & known).any():
         notices.append(
             f"{lost.sum()} elements stand across the reference direction and have no angle to it; "
@@ -62,4 +59,4 @@ def drape(fibres: Fibres, folder: Path, file: str, reference: FloatArray) -> tup
         cells=list(zip(target.elements, *corners.T, strict=True)) if fibres.own else [],
         tables={k: list(zip(*columns, angle, strict=True)) for k, angle in angles.items()},
     )
-    return (*notices, NO_WEIGHT)
+    return (*notices, NOTICES["no_weight"])

@@ -25,11 +25,10 @@ class Drawing:
     Parameters
     ----------
     name : str
-        Of the part, as written into the files.
-    trim : list of (k, 2) arrays
-        Lines to cut along, mm; a closed one repeats its first point.
-    blank : list of (k, 2) arrays
-        Outline of the blank and of its holes, closed, mm.
+        Of the part.
+    trim, blank : list of (k, 2) arrays
+        Lines to cut along; outline of the blank and of its holes; mm, a closed one repeats its
+        first point.
     along : (2, 2) array
         Flat unit vectors of warp (0°) and weft (90°).
     """
@@ -47,14 +46,14 @@ def write_dxf(pattern: Drawing, path: Path) -> None:
     drawing.header["$INSUNITS"] = 4
     drawing.header["$MEASUREMENT"] = 1
     space = drawing.modelspace()
-    marks = _marks(pattern)
+    lines, words = _content(pattern)
     for layer, (colour, _) in LAYERS.items():
         drawing.layers.add(layer, color=colour)
-        for line in _lines(pattern, marks)[layer]:
+        for line in lines[layer]:
             closed = bool(np.array_equal(line[0], line[-1]))
             points = line[:-1] if closed else line
             space.add_lwpolyline(points.tolist(), close=closed, dxfattribs={"layer": layer})
-    for _, text, at, height in marks:
+    for text, at, height in words:
         attributes = {"layer": "MARKS", "insert": tuple(at.tolist())}
         space.add_text(text, height=height, dxfattribs=attributes)
     drawing.saveas(path)
@@ -65,17 +64,17 @@ def write_svg(pattern: Drawing, path: Path) -> None:
     points = np.vstack([*pattern.blank, *pattern.trim])
     margin = 0.05 * float(np.ptp(points, axis=0).max())
     low, high = points.min(0) - [margin, 2 * margin], points.max(0) + margin  # words below
-    marks = _marks(pattern)
+    lines, words = _content(pattern)
 
     def seen(p: FloatArray) -> list[str]:
         """Places in the view, where y points down."""
         return [f"{x:.4f},{y:.4f}" for x, y in np.atleast_2d(p - [low[0], high[1]]) * [1.0, -1.0]]
 
     layers = [
-        (layer, colour, [" ".join(seen(line)) for line in _lines(pattern, marks)[layer]])
+        (layer, colour, [" ".join(seen(line)) for line in lines[layer]])
         for layer, (_, colour) in LAYERS.items()
     ]
-    words = [(*seen(at)[0].split(","), f"{size:.4f}", text) for _, text, at, size in marks]
+    words = [(*seen(at)[0].split(","), f"{size:.4f}", text) for text, at, size in words]
     size = [f"{length:.4f}" for length in high - low]
     text = render("pattern.svg", name=pattern.name, size=size, layers=layers, words=words)
     path.write_text(text + "\n", encoding="utf-8")
@@ -91,27 +90,21 @@ def write_csv(pattern: Drawing, path: Path) -> None:
                 writer.writerows([layer, number, f"{x:.6g}", f"{y:.6g}"] for x, y in line)
 
 
-Mark = tuple[FloatArray | None, str, FloatArray, float]
-
-
-def _lines(pattern: Drawing, marks: list[Mark]) -> dict[str, list[FloatArray]]:
-    """Lines by layer."""
-    arrows = [line for line, *_ in marks if line is not None]
-    return {"BLANK": pattern.blank, "TRIM": pattern.trim, "MARKS": arrows}
-
-
-def _marks(pattern: Drawing) -> list[Mark]:
-    """Arrow (k, 2) or None, its words, where they begin, and how high they are, mm."""
+def _content(
+    pattern: Drawing,
+) -> tuple[dict[str, list[FloatArray]], list[tuple[str, FloatArray, float]]]:
+    """Lines (k, 2) by layer; words, where they begin, and how high they are, mm."""
     points = np.vstack(pattern.blank)
     low, high = points.min(0), points.max(0)
     size = float((high - low).max())
-    height, centre, marks = 0.02 * size, 0.5 * (low + high), []
+    height, centre, arrows = 0.02 * size, 0.5 * (low + high), []
+    words = [(f"{pattern.name}: {SIDE}", low - [0.0, 2.0 * height], height)]
     for along, text, length in zip(
         pattern.along, ("0° (warp)", "90° (weft)"), (ARROW, 0.6 * ARROW), strict=True
     ):
         across = 0.4 * height * np.array([-along[1], along[0]])
         tip = centre + length * size * along
         back = tip - height * along
-        arrow = np.array([centre, tip, back + across, tip, back - across])
-        marks.append((arrow, text, tip + height * along, height))
-    return [*marks, (None, f"{pattern.name}: {SIDE}", low - [0.0, 2.0 * height], height)]
+        arrows.append(np.array([centre, tip, back + across, tip, back - across]))
+        words.append((text, tip + height * along, height))
+    return {"BLANK": pattern.blank, "TRIM": pattern.trim, "MARKS": arrows}, words

@@ -21,50 +21,26 @@ from ..checks import InputError, check_number
 from ..comparison.mapping import on_surface, spacing
 from ..comparison.shells import Shells
 from ..result.record import Record
+from .keywords import NOTICES
 
 FloatArray = np.ndarray
 AXES = ("warp", "weft", "bisector")
 FAMILIES = ("warp", "weft")
 STEEP = 30.0  # degrees between an element and the sheet: beyond, the projection is doubtful
-NOT_MODELLED = (
-    "one ply is handed over: several plies, and their sliding on each other, are not modelled",
-    "rovings do not slip in the model, and the fabric does not tear or open: it has no gaps",
-    "thickness and areal weight follow from the area at constant volume and mass (assumed); "
-    "compaction by tools and by a later infusion is not in them",
-    "stresses and contact pressures of the forming are left out: the part is free of stress",
-)
 
 
 @dataclass(frozen=True, eq=False)
 class Fibres:
-    """What an element of a structural mesh has to know of the formed fabric.
-
-    Parameters
-    ----------
-    name : str
-    target : Shells
-        All elements of the mesh.
-    known : (m,) bool array
-        Which of them lie on the sheet; the values of the others are nan.
-    warp, weft : (m, 3) arrays
-        Unit vectors in the element's plane.
-    area_ratio : (m,) array
-        J, formed area over flat area.
-    fabric : mapping
-        thickness (mm), areal_weight (g/m²), laws of warp, weft and shear.
-    own : bool
-        Whether the mesh is the formed one.
-    notices : tuple of str
-    """
+    """What an element of a structural mesh has to know of the formed fabric."""
 
     name: str
-    target: Shells
-    known: np.ndarray
-    warp: FloatArray
-    weft: FloatArray
-    area_ratio: FloatArray
-    fabric: Mapping[str, Any] = field(default_factory=dict)
-    own: bool = True
+    target: Shells  # all elements of the mesh
+    known: np.ndarray  # (m,) which of them lie on the sheet; the values of the others are nan
+    warp: FloatArray  # (m, 3) unit vectors in the element's plane
+    weft: FloatArray  # (m, 3)
+    area_ratio: FloatArray  # (m,) J, formed area over flat area
+    fabric: Mapping[str, Any] = field(default_factory=dict)  # thickness, areal_weight, laws
+    own: bool = True  # whether the mesh is the formed one
     notices: tuple[str, ...] = ()
 
     @property
@@ -100,13 +76,7 @@ class Fibres:
 
 
 def read_formed(source: Any) -> Record:
-    """Record of a run (a `Result`, a `Record` or a folder) whose last sheet can be handed over.
-
-    Raises
-    ------
-    InputError
-        Naming the file and what is missing in it.
-    """
+    """Record of a run (a `Result`, a `Record` or a folder) whose last sheet can be handed over."""
     record = Record.of(source)
     where = "the result" if record.folder is None else str(record.folder / "summary.json")
     if not record.fabric:
@@ -144,10 +114,10 @@ def limits_of(record: Record) -> tuple[str, ...]:
 def carry(record: Record, target: Shells | None = None, within: float | None = None) -> Fibres:
     """Fibres of a run's last sheet (`read_formed`) by element of its own or of another mesh.
 
-    Elements whose centroid is farther than `within` (mm; the spacing of the formed mesh if not
-    given) from the sheet get nothing. If no element is near, InputError is raised.
+    Elements whose centroid is farther than `within` from the sheet (mm; by default the spacing of
+    the formed mesh) get nothing; InputError if none is near.
     """
-    sheet, notices = record.sheet, [*limits_of(record), *NOT_MODELLED]
+    sheet, notices = record.sheet, [*limits_of(record), *NOTICES["fibres"]]
     values = [sheet.cell_fields["warp"], sheet.cell_fields["weft"], sheet.area_ratio]
     if target is None:
         target = Shells.counted(sheet.points, sheet.triangles)
@@ -165,34 +135,26 @@ def carry(record: Record, target: Shells | None = None, within: float | None = N
         )
     found[~known] = np.nan
     n, axes, steep = target.normals, [], np.zeros(len(known), dtype=bool)
-    for direction in (found[:, :3], found[:, 3:6]):
-        direction = _unit(direction)
+    for direction in (_unit(found[:, :3]), _unit(found[:, 3:6])):
         out = (direction * n).sum(1)
         steep |= np.abs(out) > np.sin(np.radians(STEEP))
         axes.append(_unit(direction - out[:, None] * n))
-    if not known.all():
-        words = f"of {len(known)} elements are farther than {reach:.3g} mm from the sheet and get"
-        notices.append(_some(target.elements[~known], f"{words} no fibres"))
-    if steep.any():
-        words = f"elements are tilted by more than {STEEP:g}° out of the sheet, their fibres are"
-        notices.append(_some(target.elements[steep], f"{words} doubtful"))
-    against = (np.cross(*axes) * n).sum(1) < 0
-    if against.any():
-        notices.append(
-            f"{against.sum()} elements have their normal against the sheet's upper side: seen "
-            "along it the weft lies clockwise of the warp"
-        )
-    notices.append(
-        f"mapped by the closest point of the formed mid-surface, at most "
-        f"{distance[known].max():.3g} mm away"
-    )
+    far = f"of {len(known)} elements are farther than {reach:.3g} mm from the sheet and get no"
+    tilted = f"elements are tilted by more than {STEEP:g}° out of the sheet, their fibres are"
+    turned = "elements have their normal against the sheet's upper side: seen along it the weft"
+    for those, words in (
+        (~known, f"{far} fibres"),
+        (steep, f"{tilted} doubtful"),
+        ((np.cross(*axes) * n).sum(1) < 0, f"{turned} lies clockwise of the warp"),
+    ):
+        if those.any():
+            some = [*map(str, target.elements[those]), ""]
+            some = [*some[:5], "..."] if len(some) > 6 else some[:-1]
+            notices.append(f"{those.sum()} {words}: {', '.join(some)}")
+    most = f"{distance[known].max():.3g} mm"
+    notices.append(f"mapped by the closest point of the formed mid-surface, at most {most} away")
     mapped = (record.case, target, known, *axes, found[:, 6], record.fabric, False)
     return Fibres(*mapped, tuple(notices))
-
-
-def _some(labels: np.ndarray, words: str) -> str:
-    """How many elements, what about them, and the first few of their labels."""
-    return f"{len(labels)} {words}: {', '.join(map(str, labels[:5]))}{', ...' * (len(labels) > 5)}"
 
 
 def _unit(vectors: FloatArray) -> FloatArray:

@@ -13,8 +13,8 @@ from ..checks import InputError, suggestion
 from ..result.files import replaced
 from ..result.summary import package_version
 from . import drape, inp, table
-from .fibres import NOT_MODELLED, Fibres, carry, read_formed
-from .keywords import write_notices
+from .fibres import Fibres, carry, read_formed
+from .keywords import NOTICES, write_notices
 from .target import read_target
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ FORMATS: dict[str, str] = {
     "vtu": "all fields by cell",
 }
 NOTES = "handover.txt"
-GENERAL = {*NOT_MODELLED, *inp.GENERAL, *drape.GENERAL, *table.GENERAL}
+GENERAL = {*NOTICES["fibres"], *(words for words in NOTICES.values() if isinstance(words, str))}
 FILES = (*inp.FILES, "drape_0000.rad", "drape.fem", "fibres.csv", "fibres.vtu", NOTES)
 
 
@@ -96,10 +96,6 @@ def export(
     force : bool
         Whether to replace files of an earlier hand-over.
 
-    Returns
-    -------
-    Handover
-
     Raises
     ------
     InputError
@@ -117,7 +113,7 @@ def export(
         "radioss": lambda folder: drape.drape(fibres, folder, "drape_0000.rad", direction),
         "optistruct": lambda folder: drape.drape(fibres, folder, "drape.fem", direction),
         "csv": lambda folder: table.table(fibres, folder),
-        "vtu": lambda folder: table.mesh(fibres, folder),
+        "vtu": lambda folder: table.grid(fibres, folder),
     }
     with replaced(out, force=force, names=FILES) as folder:
         notices = (*fibres.notices, *writers[to](folder))

@@ -23,26 +23,12 @@ import numpy as np
 
 from ..checks import InputError
 from .fibres import AXES, Fibres
-from .keywords import fill
+from .keywords import NOTICES, fill
 
 FloatArray = np.ndarray
+Sets = dict[str, tuple[tuple[str, str], int]]  # names of triangles and quads, added to labels
 DENSITY = 1e-12  # t/mm³ of g/m² over mm: N, mm, s go with tonnes
 FILES = ("mesh.inp", "fibres.inp", "part.inp")
-STAND_IN = (
-    "the materials in part.inp are stand-ins, the dry fabric's stiffness at rest: replace them by "
-    "those of the part"
-)
-SHARED = (
-    "membranes and shells share nodes and each has half the mass; the shells' stand-in "
-    "has the whole stiffness, the membranes' next to none: divide it as you model it"
-)
-NOT_RUN = "the files for Abaqus are not run: their syntax is checked only"
-AT_NODES = (
-    "CalculiX takes the thickness at the nodes: the mean of the elements around, weighted by "
-    "area (a step between elements would stiffen their nodes)"
-)
-ONE_EACH = "one orientation an element, none binned"
-GENERAL = (STAND_IN, SHARED, NOT_RUN, AT_NODES, ONE_EACH)  # true of every part
 
 
 def abaqus(fibres: Fibres, folder: Path, pair: bool = False) -> tuple[str, ...]:
@@ -62,7 +48,8 @@ def abaqus(fibres: Fibres, folder: Path, pair: bool = False) -> tuple[str, ...]:
         materials={"WARP_LAYER": 2 * warp, "WEFT_LAYER": 2 * weft, "MEMBRANE": shear},
         **{"pair": pair, "shear": shear},
     )
-    return (STAND_IN, SHARED, NOT_RUN) if pair else (STAND_IN, NOT_RUN)
+    names = ("stand_in", "shared", "not_run") if pair else ("stand_in", "not_run")
+    return tuple(NOTICES[name] for name in names)
 
 
 def calculix(fibres: Fibres, folder: Path, axis: str = "warp") -> tuple[str, ...]:
@@ -87,43 +74,31 @@ def calculix(fibres: Fibres, folder: Path, axis: str = "warp") -> tuple[str, ...
         else "one orthogonal frame an element, along the bisector: the constants of a sheared "
         f"fabric differ with its angle (up to {largest:.1f}°), those written are of one"
     )
-    return STAND_IN, AT_NODES, ONE_EACH, frame
+    return *(NOTICES[name] for name in ("stand_in", "at_nodes", "one_each")), frame
 
 
-def _fill(
-    code: str,
-    fibres: Fibres,
-    folder: Path,
-    sets: dict[str, tuple[tuple[str, str], int]],
-    **values: Any,
-) -> None:
+def _fill(code: str, fibres: Fibres, folder: Path, sets: Sets, **values: Any) -> None:
     """Write mesh.inp with the known elements, once a set; fibres.inp and part.inp of a code."""
     target, fabric = fibres.target, fibres.fabric
     used = np.unique(target.corners[fibres.known])
     used = used[used >= 0]
     blocks = []
     for name, (kinds, offset) in sets.items():
-        for kind, corners, chosen in zip(
-            kinds, (3, 4), (target.triangular, ~target.triangular), strict=True
-        ):
-            chosen = chosen & fibres.known
+        for kind, corners in zip(kinds, (3, 4), strict=True):
+            chosen = fibres.known & (target.triangular == (corners == 3))
             nodes = target.nodes[target.corners[chosen, :corners]]
             blocks.append((name, kind, target.elements[chosen] + offset, nodes))
     header = [
         f"Formed part of {fibres.name}, fabric {fabric.get('name', '')}; N, mm, s, t, MPa.",
         f"Flat: thickness {fabric['thickness']:g} mm, {fabric['areal_weight']:g} g/m².",
         *fibres.notices,
-        STAND_IN,
+        NOTICES["stand_in"],
     ]
     density = max(DENSITY * fabric["areal_weight"] / fabric["thickness"], 1e-20)
     values |= {"name": fibres.name, "header": header, "t0": fabric["thickness"]}
     values |= {"density": density, "target": target, "used": used, "blocks": blocks}
-    for template, file in (
-        ("mesh.inp", "mesh.inp"),
-        (f"{code}_fibres.inp", "fibres.inp"),
-        (f"{code}_part.inp", "part.inp"),
-    ):
-        fill(template, folder / file, **values)
+    for file, prefix in zip(FILES, ("", f"{code}_", f"{code}_"), strict=True):
+        fill(f"{prefix}{file}", folder / file, **values)
 
 
 def _frame(fibres: Fibres, axis: str) -> FloatArray:

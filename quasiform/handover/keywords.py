@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import textwrap
+import tomllib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,8 @@ from typing import Any
 import numpy as np
 
 FloatArray = np.ndarray
+TEMPLATES = Path(__file__).with_name("templates")
+NOTICES: dict[str, Any] = tomllib.loads((TEMPLATES / "notices.toml").read_text("utf-8"))
 PLAIN = str.maketrans({"°": " deg", "²": "^2", "³": "^3", "γ": "gamma", "×": "x"})
 
 
@@ -52,7 +55,7 @@ def render(template: str, **values: Any) -> str:
     import jinja2
 
     environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(Path(__file__).with_name("templates")),
+        loader=jinja2.FileSystemLoader(TEMPLATES),
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,

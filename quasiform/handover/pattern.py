@@ -8,7 +8,9 @@ of a die, a CSV without z) the points are those where the edges of the triangles
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import reduce
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,7 +24,7 @@ from ..tables import read_table
 from ..tools.mending import normals_of
 from .drawing import Drawing, write_csv, write_dxf, write_svg
 from .fibres import limits_of, read_formed
-from .keywords import write_notices
+from .keywords import NOTICES, write_notices
 
 if TYPE_CHECKING:
     import shapely
@@ -37,12 +39,7 @@ ASIDE = 0.01  # of the spacing: how far beside the rim of the sheet a line has l
 HALVINGS = 30  # of an edge, to find where a line crosses it
 JUMP = 3.0  # flat step over formed step: the line has passed from one fold to another
 FILES = ("pattern.dxf", "pattern.svg", "pattern.csv", "pattern.txt")
-NOT_MODELLED = (
-    "one ply: the plies of a stack have patterns of their own, and their sliding on each other "
-    "is not modelled",
-    "rovings do not slip in the model: a pattern cut where they do may differ",
-    "no allowance for cutting, springback or compaction is added",
-)
+NOT_MODELLED = NOTICES["pattern"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,33 +59,15 @@ class FlatPattern(Drawing):
         """Area inside the closed lines, those inside others as holes, mm²."""
         import shapely
 
-        rings = [shapely.Polygon(line) for line in self.trim if _closed(line)]
-        found = shapely.Polygon()
-        for ring in rings:
-            found = found.symmetric_difference(shapely.make_valid(ring))
-        return float(found.area)
+        rings = [shapely.make_valid(shapely.Polygon(p)) for p in self.trim if _closed(p)]
+        return float(reduce(shapely.symmetric_difference, rings, shapely.Polygon()).area)
 
     def save(self, out: str | Path, *, force: bool = False) -> Path:
         """Write pattern.svg and, with ezdxf, pattern.dxf (mm, 1:1), pattern.csv and pattern.txt.
 
         The CSV has the points, the text the notices. Without ezdxf an older pattern.dxf is removed.
-
-        Parameters
-        ----------
-        out : path
-            Folder; made if missing.
-        force : bool
-            Whether to replace an earlier pattern.
-
-        Returns
-        -------
-        path
-            The folder.
-
-        Raises
-        ------
-        InputError
-            If the folder holds a pattern already and `force` is not set, or cannot be written.
+        Returns the folder, which is made if missing. InputError if it holds a pattern already and
+        `force` is not set, or if it cannot be written.
         """
         with replaced(out, force=force, names=FILES) as folder:
             if not _without_dxf():
@@ -121,10 +100,6 @@ def flat_pattern(
     scale : float
         mm per unit of the line.
 
-    Returns
-    -------
-    FlatPattern
-
     Raises
     ------
     InputError
@@ -145,8 +120,12 @@ def flat_pattern(
     else:
         lines = []
         for curve in _curves(trim, scale):
+            plan = shapely.Polygon(curve)
+            if curve.shape[1] == 2 and (not plan.is_valid or not plan.area > 0):
+                words = "must enclose an area and not cross itself"
+                raise InputError(f"the trim line, seen along z, {words}")
             if curve.shape[1] == 2:
-                lines += _seen(sheet, _polygon(curve), notices)
+                lines += _seen(sheet, plan, notices)
             else:
                 lines.append(_mapped(sheet, curve, reach, edges, notices))
     for line in lines:
@@ -158,12 +137,10 @@ def flat_pattern(
 
 def _without_dxf() -> list[str]:
     """Why there is no pattern.dxf; empty if there is one."""
-    try:
+    with suppress(InputError):
         optional("ezdxf", "cad", "a .dxf file needs ezdxf")
-    except InputError:
-        words = "pattern.dxf is left out, SVG and CSV hold the same lines: pip install ezdxf"
-        return [f"{words}, and export again"]
-    return []
+        return []
+    return [NOTICES["no_dxf"]]
 
 
 def _curves(trim: Line, scale: float) -> list[FloatArray]:
@@ -194,11 +171,7 @@ def _curves(trim: Line, scale: float) -> list[FloatArray]:
 
 
 def _mapped(
-    sheet: FormedSheet,
-    curve: FloatArray,
-    reach: float,
-    edges: list[FloatArray],
-    notices: list[str],
+    sheet: FormedSheet, curve: FloatArray, reach: float, edges: list[FloatArray], notices: list[str]
 ) -> FloatArray:
     """Flat closed line of a closed line in space."""
     import shapely
@@ -261,13 +234,11 @@ def _seen(sheet: FormedSheet, plan: shapely.Polygon, notices: list[str]) -> list
         raise InputError("the trim line, seen along z, does not cross the formed sheet")
     pairs, segment = np.unique(edges[cut][crossed[cut]], axis=0, return_inverse=True)
     a, b = pairs.T
-    low, high = np.zeros(a.shape), np.ones(a.shape)
-    for _ in range(HALVINGS):
-        share = 0.5 * (low + high)
+    share = np.full(a.shape, 0.5)  # never 0: lines through a node would meet there
+    for k in range(HALVINGS):
         place = sheet.points[a] + share[:, None] * (sheet.points[b] - sheet.points[a])
         first_side = shapely.contains_xy(plan, place[:, :2]) == inside[a]
-        low, high = np.where(first_side, share, low), np.where(first_side, high, share)
-    share = 0.5 * (low + high)  # never 0: lines through a node would meet there
+        share += np.where(first_side, 0.25, -0.25) * 0.5**k
     points = sheet.flat[a] + share[:, None] * (sheet.flat[b] - sheet.flat[a])
     ends = points[segment.reshape(-1, 2)]
     chord = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).max()
@@ -277,15 +248,6 @@ def _seen(sheet: FormedSheet, plan: shapely.Polygon, notices: list[str]) -> list
     if not all(map(_closed, lines)):
         notices.append("the trim line leaves the sheet: what is left of it does not close")
     return sorted(lines, key=lambda line: -shapely.Polygon(line).area if len(line) > 3 else 0.0)
-
-
-def _polygon(curve: FloatArray) -> shapely.Polygon:
-    import shapely
-
-    plan = shapely.Polygon(curve)
-    if not plan.is_valid or not plan.area > 0:
-        raise InputError("the trim line, seen along z, must enclose an area and not cross itself")
-    return plan
 
 
 def _opening(record: Record) -> shapely.Polygon:

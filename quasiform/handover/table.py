@@ -12,11 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from .fibres import AXES, Fibres
-
-GENERAL = (
-    "theta runs from the side between an element's first two nodes (Nastran's THETA); without "
-    "an MCID",
-)
+from .keywords import NOTICES
 
 
 def table(fibres: Fibres, folder: Path) -> tuple[str, ...]:
@@ -37,36 +33,23 @@ def table(fibres: Fibres, folder: Path) -> tuple[str, ...]:
         writer = csv.writer(file)
         writer.writerow(["element", *values, *(f"n{k}" for k in (1, 2, 3, 4)), *vectors])
         for row in np.flatnonzero(fibres.known):
-            writer.writerow(
-                [
-                    target.elements[row],
-                    *(f"{column[row]:.7g}" for column in values.values()),
-                    *("" if c < 0 else target.nodes[c] for c in target.corners[row]),
-                    *(f"{column[row]:.9g}" for column in vectors.values()),
-                ]
-            )
-    return GENERAL
+            cells = [target.elements[row], *(f"{column[row]:.7g}" for column in values.values())]
+            cells += ["" if c < 0 else target.nodes[c] for c in target.corners[row]]
+            writer.writerow([*cells, *(f"{column[row]:.9g}" for column in vectors.values())])
+    return (NOTICES["theta"],)
 
 
-def mesh(fibres: Fibres, folder: Path) -> tuple[str, ...]:
+def grid(fibres: Fibres, folder: Path) -> tuple[str, ...]:
     """Write fibres.vtu with all fields by cell; nan in elements that are not known."""
     import meshio
 
     target = fibres.target
     names = (*AXES, "thickness", "thickness_ratio", "areal_weight", "shear_angle")
     fields = {name: getattr(fibres, name) for name in names} | {"element": target.elements}
-    blocks = [
-        (kind, rows, target.corners[rows, :corners])
-        for kind, corners, rows in (
-            ("triangle", 3, target.triangular),
-            ("quad", 4, ~target.triangular),
-        )
-        if rows.any()
-    ]
-    meshio.Mesh(
-        target.points,
-        [(kind, cells) for kind, _, cells in blocks],
-        {"node": target.nodes},
-        {name: [values[rows] for _, rows, _ in blocks] for name, values in fields.items()},
-    ).write(folder / "fibres.vtu")
+    kinds = ("triangle", 3, target.triangular), ("quad", 4, ~target.triangular)
+    blocks = [(kind, corners, rows) for kind, corners, rows in kinds if rows.any()]
+    cells = [(kind, target.corners[rows, :corners]) for kind, corners, rows in blocks]
+    by_cell = {name: [v[rows] for *_, rows in blocks] for name, v in fields.items()}
+    mesh = meshio.Mesh(target.points, cells, {"node": target.nodes}, by_cell)
+    mesh.write(folder / "fibres.vtu")
     return ()

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..checks import InputError, check_file, check_number
+from ..checks import InputError, check_file, check_number, naming
 from ..comparison.shells import Shells, read_inp
 from ..result.sheet import CORNERS
 from ..tools.surface_file import read_mesh
@@ -22,7 +22,7 @@ def read_target(path: str | Path, scale: float = 1.0) -> Shells:
     defect raises InputError with the name of the file.
     """
     path = Path(path)
-    try:
+    with naming(path):
         check_file(path)
         check_number("scale", scale)
         if path.suffix.lower() == ".inp":
@@ -36,10 +36,6 @@ def read_target(path: str | Path, scale: float = 1.0) -> Shells:
         target = Shells(scale * target.points, target.nodes, target.corners, target.elements)
         target.normals  # noqa: B018  (refuses an element without an area)
         return target
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from error
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
 
 
 def _from_meshio(path: Path) -> Shells:
@@ -49,6 +45,4 @@ def _from_meshio(path: Path) -> Shells:
         if corners := CORNERS.get(block.type):
             cells = np.asarray(block.data)[:, :corners]
             rows.append(np.pad(cells, ((0, 0), (0, 4 - corners)), constant_values=-1))
-    points = np.asarray(mesh.points, float)
-    points = np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
-    return Shells.counted(points, np.concatenate(rows))
+    return Shells.counted(mesh.points, np.concatenate(rows))

@@ -6,12 +6,9 @@ alternating, so the mesh has the mirror planes and quarter turns of the net. Suc
 the stretch of a fibre on a leg and the shear at a right corner: they neither lock nor have an
 hourglass mode (the net is isostatic, as the inextensible fabric is).
 
-An outline of any form, with holes, is cut out of the net (`cells.cut_net`). Lines run through its
-corners and the extremes of round ones, evenly spaced between. Where the outline comes near a line
-or a node, the outline is moved there, so legs stay on fibres exactly.
-
-Triangles at the outline may have one leg on a fibre only; as every node of the outline ends one
-line, the net stays isostatic and does not lock.
+An outline of any form, with holes, is cut out of the net (`cells.cut_net`). Triangles at the
+outline may have one leg on a fibre only; as every node of the outline ends one line, the net stays
+isostatic and does not lock.
 """
 
 from __future__ import annotations
@@ -30,7 +27,7 @@ from scipy.sparse.csgraph import connected_components
 from skfem import Basis, ElementTriP1, MeshLine, MeshTri
 
 from ..checks import InputError, check_number
-from ..tools.mending import position, rings_of
+from ..tools.mending import edges_of, position, rings_of
 from .cells import cut_net
 
 if TYPE_CHECKING:
@@ -106,13 +103,9 @@ class Blank:
         return self.nodes[self.triangles].mean(1)
 
     def fibre_lines(self, family: str) -> MeshLine:
-        """Return all segments of the lines of a family as a 1D scikit-fem mesh.
+        """Segments of the lines of "warp" or "weft" as a 1D mesh on the nodes of the blank.
 
-        The coordinate is the arc length along the fibre; node numbers are those of the blank.
-
-        Parameters
-        ----------
-        family : "warp" or "weft"
+        The coordinate is the arc length along the fibre, mm.
         """
         along = self.warp if family == "warp" else self.weft
         legs = self.mesh.facets.T
@@ -127,27 +120,20 @@ class Blank:
 
     @cached_property
     def outline(self) -> list[IntArray]:
-        """Closed polylines of the boundary as node numbers, the first node repeated at the end.
+        """Closed polylines of nodes, the first repeated: the outer boundary, then the holes.
 
-        The outer one comes first, counter-clockwise, then the holes, clockwise. The blank lies on
-        the left of all.
+        The blank lies on the left of all.
         """
-        rings = [np.array([*ring, ring[0]]) for ring in rings_of(_rim(self.triangles))]
-        return sorted(rings, key=lambda ring: -_area(self.nodes[ring]))
+        edges, count, _ = edges_of(self.triangles)
+        rings = [np.array([*ring, ring[0]]) for ring in rings_of(edges[count == 1])]
+        return sorted(rings, key=lambda ring: -np.ptp(self.nodes[ring], axis=0).sum())
 
     def unfolded(self) -> tuple[Blank, IntArray, FloatArray, IntArray, FloatArray]:
         """Mirror a part of the blank into the whole.
 
-        Returns
-        -------
-        whole : Blank
-        node_source : (n_whole_nodes,) int array
-            Node of this blank that each node of the whole mirrors.
-        node_sign : (n_whole_nodes, 3) array
-            Factors of its position components, 1 or -1.
-        triangle_source : (n_whole_triangles,) int array
-        triangle_sign : (n_whole_triangles,) array
-            Factor of the shear angle, 1 or -1 (a mirrored net shears the other way).
+        Returns the whole; of its n nodes, the node (n,) that each mirrors and the signs (n, 3) of
+        its position components; of its m triangles, the same: the source (m,) and the sign (m,) of
+        the shear angle (a mirrored net shears the other way).
         """
         nodes, source = self.nodes, np.arange(len(self.nodes))
         sign = np.ones((len(nodes), 3))
@@ -181,25 +167,6 @@ def _mesh(kind: type, nodes: FloatArray, elements: IntArray) -> MeshTri | MeshLi
     return kind(np.ascontiguousarray(nodes.T), np.ascontiguousarray(elements.T), sort_t=False)
 
 
-def _sides(triangles: IntArray) -> tuple[IntArray, IntArray, IntArray]:
-    """Directed edges (3 n_triangles, 2), one number for each and one for its reverse."""
-    n = triangles.max() + 1
-    edges = np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2)
-    return edges, edges @ [n, 1], edges @ [1, n]
-
-
-def _rim(triangles: IntArray) -> IntArray:
-    """(n, 2) directed edges of one triangle only."""
-    edges, there, back = _sides(triangles)
-    return edges[~np.isin(there, back)]
-
-
-def _area(ring: FloatArray) -> float:
-    """Signed area of a ring (n, 2), positive if counter-clockwise."""
-    x, y = ring.T
-    return 0.5 * float(x @ (np.roll(y, -1) - np.roll(y, 1)))
-
-
 def rotation(angle: float) -> FloatArray:
     """(2, 2) matrix of a counter-clockwise turn by `angle` degrees, exact at quarter turns."""
     c, s = np.cos(np.radians(angle)), np.sin(np.radians(angle))
@@ -227,14 +194,9 @@ def rectangle(
     length, width : float
         mm, along x and y.
     centre : (2,)
-        Centre of the rectangle, mm.
+        mm.
     size, orientation, through, mirror
-        As for `cut`.
-
-    Raises
-    ------
-    InputError
-        For bad numbers, mirror planes that do not fit, or more than two million triangles.
+        As for `cut`, as are the errors.
     """
     for name, value in (("length", length), ("width", width), ("size", size)):
         check_number(name, value)
@@ -246,14 +208,11 @@ def rectangle(
     _check_count(size, length, width, length * width)
     R = rotation(orientation)
     points = np.array([*box, *through]) @ R  # in fibre coordinates (a, b)
-    corners, through = points[:4], points[4:]
-    stops = [
-        _stops([*through[:, i], *corners[:, i]], CLOSE * min(size, np.ptp(corners[:, i])))
-        for i in (0, 1)
-    ]
-    for i in (0, 1):
-        corners[:, i] = stops[i][np.abs(corners[:, i] - stops[i][:, None]).argmin(0)]
-    lines = [_lines_through(s, size) for s in stops]
+    corners, through, lines = points[:4], points[4:], []
+    for side, inner in zip(corners.T, through.T, strict=True):
+        stops = _stops([*inner, *side], CLOSE * min(size, np.ptp(side)))
+        side[:] = stops[np.abs(side - stops[:, None]).argmin(0)]
+        lines.append(_lines_through(stops, size))
     near = EXACT * min(np.diff(line).min() for line in lines)
     nodes, triangles = cut_net(lines, [corners], near, 0.5 * EXACT, corners[0])
     return Blank(nodes @ R.T, triangles, R[:, 0], R[:, 1], mirror)
@@ -316,13 +275,8 @@ def cut(
     first = rings[0][rings[0].sum(1).argmin()] @ R
     rings = [ring @ R for ring in rings]
     corners = [_corners(ring, size) for ring in rings]
-    points = np.vstack(
-        [
-            np.reshape(through, (-1, 2)) @ R,
-            *corners,
-            *(_extremes(*pair, size) for pair in zip(rings, corners, strict=True)),
-        ]
-    )
+    extremes = [_extremes(*pair, size) for pair in zip(rings, corners, strict=True)]
+    points = np.vstack([np.reshape(through, (-1, 2)) @ R, *corners, *extremes])
     lines = []
     for i in (0, 1):
         planes = [0.0 for plane in mirror if abs(R["xy".index(plane), i]) == 1]
@@ -416,21 +370,19 @@ def _stops(values: Iterable[float], least: float) -> FloatArray:
 
 def _lines_through(stops: FloatArray, size: float) -> FloatArray:
     """Coordinates of fibre lines through all `stops`, evenly spaced by about `size` between."""
-    pieces = [
-        np.linspace(p, q, max(1, round((q - p) / size)), endpoint=False)
-        for p, q in itertools.pairwise(stops)
-    ]
-    return np.concatenate([*pieces, stops[-1:]])
+    steps = [max(1, round(gap / size)) for gap in np.diff(stops)]
+    pairs = zip(stops, stops[1:], steps, strict=False)
+    return np.concatenate([*(np.linspace(*pair, endpoint=False) for pair in pairs), stops[-1:]])
 
 
 def _in_one_part(blank: Blank, outline: shapely.Polygon, size: float) -> Blank:
     """Leave out small parts joined by a node only; refuse what the size cannot resolve."""
     count = len(blank.triangles)
-    edges, there, back = _sides(blank.triangles)
-    _, first, repeats = np.unique(there, return_index=True, return_counts=True)
-    bad = blank.nodes[edges[first[repeats > 1], 0]]  # triangles on top of each other
-    _, mine, other = np.intersect1d(there, back, return_indices=True)
-    links = coo_array((np.ones(len(mine)), (mine // 3, other // 3)), shape=(count, count))
+    edges, shared, turns = edges_of(blank.triangles)
+    on_top = (shared > 2) | ((shared == 2) & (turns != 0))
+    bad = blank.nodes[edges[on_top, 0]]  # triangles on top of each other
+    beside = blank.mesh.f2t[:, blank.mesh.f2t[1] >= 0]
+    links = coo_array((np.ones(beside.shape[1]), beside), shape=(count, count))
     _, part = connected_components(links, directed=False)
     areas = np.bincount(part, blank.areas)
     main = part == areas.argmax()
@@ -439,7 +391,8 @@ def _in_one_part(blank: Blank, outline: shapely.Polygon, size: float) -> Blank:
         used, triangles = np.unique(blank.triangles[main], return_inverse=True)
         triangles = triangles.reshape(-1, 3)
         blank = replace(blank, nodes=blank.nodes[used], triangles=triangles)
-    rim, visits = np.unique(_rim(blank.triangles)[:, 0], return_counts=True)
+    edges, shared, _ = edges_of(blank.triangles)
+    rim, visits = np.unique(edges[shared == 1, 0], return_counts=True)
     bad = np.vstack([bad, blank.nodes[rim[visits > 1]]])  # parts joined by a node
     missing = abs(outline.area - blank.areas.sum()) > CLOSE * size * outline.length
     if len(bad) or missing:

@@ -27,20 +27,11 @@ IntArray = np.ndarray
 def cut_net(
     lines: list[FloatArray], rings: list[FloatArray], near: float, sharp: float, first: FloatArray
 ) -> tuple[FloatArray, IntArray]:
-    """Cut the net of two families of lines by rings; nodes and triangles (fibre coordinates).
+    """Cut the net of lines at the coordinates a and b by rings: nodes (n, 2), triangles (m, 3).
 
-    Parameters
-    ----------
-    lines : two arrays
-        Coordinates a and b of the lines.
-    rings : list of (n, 2) arrays
-        The outline, counter-clockwise, then holes, clockwise.
-    near : float
-        How far the outline may move to meet the net.
-    sharp : float
-        Fans with smaller angles, radians, are replaced by other triangles.
-    first : (2,) array
-        Diagonals run through the net's node here, unless the outline itself runs along diagonals.
+    The outline comes first, counter-clockwise, then holes, clockwise. It moves by up to `near` to
+    meet the net. Fans with angles below `sharp` (radians) are replaced by other triangles. The
+    diagonals run through the net's node at `first` (2,), unless the outline itself runs along them.
     """
     import shapely
 
@@ -98,14 +89,9 @@ def _fitted(
 ) -> tuple[FloatArray, IntArray, dict[int, IntArray]]:
     """Fit rings to the net of lines: what comes within `near` of a line or node moves there.
 
-    Returns
-    -------
-    points : (n, 2) array
-        Nodes of the net, line by line, then the further points of the outline.
-    codes : (n, 2) int array
-        Where they lie: 2 i on line i, 2 i + 1 between the lines i and i + 1.
-    loops : dict of int arrays
-        The fitted rings by number, as points; holes that vanish are left out.
+    Returns points (n, 2), the nodes of the net line by line, then those of the outline; codes
+    (n, 2) of where they lie, 2 i on line i, 2 i + 1 between the lines i and i + 1; and the points
+    of the fitted rings by number, without holes that vanish.
     """
     index = np.meshgrid(*(np.arange(len(line)) for line in lines), indexing="ij")
     points = [np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 2)]
@@ -139,7 +125,7 @@ def _divided(
 ) -> tuple[IntArray, FloatArray, FloatArray]:
     """Vertices of a ring and its crossings with the lines: codes, places moved and original."""
     step = np.roll(ring, -1, axis=0) - ring
-    edges, shares, originals = [np.arange(len(ring))], [np.zeros(len(ring))], [ring]
+    found = [(np.arange(len(ring)), np.zeros(len(ring)), ring)]
     for axis, line in enumerate(lines):
         ends = ring[:, axis], ring[:, axis] + step[:, axis]
         low = np.searchsorted(line, np.minimum(*ends), side="right")
@@ -149,11 +135,9 @@ def _divided(
         share = (crossed - ring[edge, axis]) / step[edge, axis]
         place = ring[edge] + share[:, None] * step[edge]
         place[:, axis] = crossed
-        edges.append(edge)
-        shares.append(share)
-        originals.append(place)
-    order = np.lexsort([np.concatenate(shares), np.concatenate(edges)])
-    original = np.vstack(originals)[order]
+        found.append((edge, share, place))
+    edges, shares, original = map(np.concatenate, zip(*found, strict=True))
+    original = original[np.lexsort([shares, edges])]
     codes, moved = np.empty(original.shape, dtype=int), original.copy()
     for axis, line in enumerate(lines):
         x = original[:, axis]
@@ -205,11 +189,8 @@ def _corners_between(
     if distance.max() <= near:
         return []
     at = start + 1 + int(distance.argmax())
-    return [
-        *_corners_between(moved, original, start, at, near),
-        at,
-        *_corners_between(moved, original, at, end, near),
-    ]
+    sides = [_corners_between(moved, original, *part, near) for part in ((start, at), (at, end))]
+    return [*sides[0], at, *sides[1]]
 
 
 def _without_spikes(loop: list[int]) -> list[int]:
@@ -226,11 +207,8 @@ def _without_spikes(loop: list[int]) -> list[int]:
             kept.pop()
         elif not kept or kept[-1] != vertex:
             kept.append(vertex)
-    while len(kept) > 1 and (kept[0] == kept[-1] or kept[1] == kept[-1] or kept[0] == kept[-2]):
-        if kept[0] == kept[-1] or kept[0] == kept[-2]:
-            kept.pop()
-        else:
-            del kept[0]
+    while len(kept) > 1 and (kept[0] in kept[-2:] or kept[1] == kept[-1]):
+        kept.pop(-1 if kept[0] in kept[-2:] else 0)
     return kept
 
 
@@ -239,13 +217,10 @@ def _cell_rim(
 ) -> list[int]:
     """Nodes around the cell (i, j), counter-clockwise, with those of the outline on its legs."""
     rim = []
-    for (I, J), leg in zip(
-        ((i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)),
-        ((1, 0), (2, 1), (1, 2), (0, 1)),
-        strict=True,
-    ):
-        node = I * n_b + J
-        more = on_legs.get((2 * i + leg[0], 2 * j + leg[1]), [])
+    # each corner, and the middle of the leg after it, in halves of a leg
+    for (I, J), (A, B) in (((0, 0), (1, 0)), ((1, 0), (2, 1)), ((1, 1), (1, 2)), ((0, 1), (0, 1))):
+        node = (i + I) * n_b + j + J
+        more = on_legs.get((2 * i + A, 2 * j + B), [])
         rim += [node, *sorted(more, key=lambda k: np.abs(points[k] - points[node]).sum())]
     return rim
 
@@ -294,21 +269,16 @@ def _triangulated(faces: list[list[int]], points: FloatArray, sharp: float) -> I
 
 
 def _fan(face: IntArray, ring: FloatArray) -> IntArray:
-    """Triangles of one cell cut by the outline.
+    """Triangles of one cell cut by the outline, fanned so that its first right corner stays whole.
 
-    The fan starts at the vertex before the first right corner, which is so kept whole.
+    A right corner lies between a leg on a warp and one on a weft.
     """
-    right = _right_corners(ring)
+    step = np.abs(np.roll(ring, -1, axis=0) - ring)
+    along_a, along_b = step[:, 1] < 1e-9 * step[:, 0], step[:, 0] < 1e-9 * step[:, 1]
+    right = (along_a & np.roll(along_b, 1)) | (along_b & np.roll(along_a, 1))
     starts = np.flatnonzero(right & ~np.roll(right, 1))
     fan = np.roll(face, 1 - (starts[0] if len(starts) else 1))
     return np.stack([np.broadcast_to(fan[0], len(fan) - 2), fan[1:-1], fan[2:]], axis=1)
-
-
-def _right_corners(ring: FloatArray) -> np.ndarray:
-    """Which vertices of a ring (n, 2) lie between a leg on a warp and one on a weft."""
-    step = np.abs(np.roll(ring, -1, axis=0) - ring)
-    along_a, along_b = step[:, 1] < 1e-9 * step[:, 0], step[:, 0] < 1e-9 * step[:, 1]
-    return (along_a & np.roll(along_b, 1)) | (along_b & np.roll(along_a, 1))
 
 
 def _smallest_angles(corners: FloatArray) -> FloatArray:
@@ -320,8 +290,7 @@ def _smallest_angles(corners: FloatArray) -> FloatArray:
 def _best(face: list[int], points: FloatArray) -> IntArray:
     """Triangulation of a face with the largest smallest angle.
 
-    A triangulation of the ring whose triangles all turn counter-clockwise tiles the face, convex or
-    not.
+    If all its triangles turn counter-clockwise, it tiles the face, convex or not.
     """
     triples = np.array(list(itertools.combinations(range(len(face)), 3)))
     angles = _smallest_angles(points[np.array(face)[triples]])

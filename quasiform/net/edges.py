@@ -29,12 +29,7 @@ class EdgePoint:
 def edge_points(blank: Blank, turn: float = 0.0) -> dict[str, EdgePoint]:
     """Outermost points of the outline from the blank's middle along "+x", "-x", "+y", "-y".
 
-    Parameters
-    ----------
-    blank : Blank
-        The whole sheet.
-    turn : float
-        Degrees by which the blank, and with it its x and y, is turned.
+    The blank is the whole sheet; `turn` is by how many degrees it, and its x and y, are turned.
     """
     R = rotation(turn)
     rim = blank.mesh.facets[:, blank.mesh.boundary_facets()].T
@@ -53,10 +48,8 @@ def edge_points(blank: Blank, turn: float = 0.0) -> dict[str, EdgePoint]:
             continue
         share = float(np.clip(s[at], 0.0, 1.0))
         shares = np.array([1.0 - share, share])
-        outward = sign * np.eye(2)[axis]
-        points[mark + name] = EdgePoint(
-            rim[at], shares, -R @ outward, shares @ blank.nodes[rim[at]]
-        )
+        inward, place = -sign * R[:, axis], shares @ blank.nodes[rim[at]]
+        points[mark + name] = EdgePoint(rim[at], shares, inward, place)
     return points
 
 

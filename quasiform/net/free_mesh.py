@@ -31,21 +31,10 @@ PAIRED = (
 
 
 def triangulate(outline: shapely.Polygon, size: float, orientation: float = 0.0) -> Blank:
-    """Triangulate an outline with its holes by gmsh, without regard to the fibres.
+    """Triangulate an outline (mm) with its holes by gmsh, without regard to the fibres.
 
-    Parameters
-    ----------
-    outline : shapely.Polygon
-        mm.
-    size : float
-        Spacing of fibre lines that make as many triangles, mm.
-    orientation : float
-        Angle of the warp to x, degrees.
-
-    Raises
-    ------
-    InputError
-        For a bad size, or without gmsh.
+    The size (mm) is the spacing of fibre lines that make as many triangles, the orientation the
+    angle of the warp to x, degrees. A bad size, or no gmsh, raises InputError.
     """
     import shapely
 
@@ -83,12 +72,7 @@ def triangulate(outline: shapely.Polygon, size: float, orientation: float = 0.0)
 
 
 def check_same_size(size: float, built: float | None) -> None:
-    """Refuse to build a model on the user's own mesh at another size than it was built before.
-
-    Raises
-    ------
-    InputError
-    """
+    """Refuse to build a model on the user's own mesh at another size than it was built before."""
     if built is not None and size != built:
         raise InputError(f"a mesh of its own has one size only: not {size:g} mm")
 
@@ -96,19 +80,8 @@ def check_same_size(size: float, built: float | None) -> None:
 def own_mesh(path: str | Path, orientation: float = 0.0, scale: float = 1.0) -> Blank:
     """Read the user's own flat mesh of triangles and quadrilaterals (any format of meshio).
 
-    Parameters
-    ----------
-    path : path
-    orientation : float
-        Angle of the warp to x, degrees.
-    scale : float
-        mm per unit of the file.
-
-    Raises
-    ------
-    InputError
-        For a file that cannot be read, that has no triangles or quadrilaterals, is not flat, or has
-        an element without area.
+    The orientation is the angle of the warp to x, degrees; the scale is mm per unit of the file. A
+    file without such elements, not flat, or with one of no area raises InputError.
     """
     path = Path(path)
     with naming(path):
@@ -121,14 +94,15 @@ def own_mesh(path: str | Path, orientation: float = 0.0, scale: float = 1.0) -> 
         )
         if not len(triangles) + len(quads):
             raise InputError("no triangles or quadrilaterals")
-        check_numbers(mesh.points, np.concatenate([triangles.ravel(), quads.ravel()]))
+        cells = np.r_[triangles.ravel(), quads.ravel()]
+        check_numbers(mesh.points, cells)
         points = scale * mesh.points
         if np.ptp(points[:, 2]) > 1e-6 * np.ptp(points):
             raise InputError(f"the mesh is not flat: its z spans {np.ptp(points[:, 2]):.3g} mm")
-        used = np.unique(np.r_[triangles.ravel(), quads.ravel()])
-        number = np.full(len(points), -1)
-        number[used] = np.arange(len(used))
-        blank = _blank(points[used, :2], number[triangles], number[quads], orientation)
+        used, number = np.unique(cells, return_inverse=True)
+        n = triangles.size
+        elements = number[:n].reshape(-1, 3), number[n:].reshape(-1, 4)
+        blank = _blank(points[used, :2], *elements, orientation)
         check_unit(np.ptp(blank.nodes, axis=0).max(), scale)
         return blank
 
@@ -172,9 +146,9 @@ def _blank(nodes: FloatArray, triangles: IntArray, quads: IntArray, orientation:
 
 
 def _pairs(blank: Blank, count: int) -> IntArray:
-    """Pair the first `count` triangles with neighbours, for as many and as good quadrilaterals.
+    """Pair the first `count` triangles with neighbours, single ones with themselves.
 
-    A matching of largest weight in the graph of neighbours; single ones are paired with themselves.
+    It is a matching of largest weight: as many and as good quadrilaterals as there can be.
     """
     from scipy.optimize import Bounds, LinearConstraint, milp
 
@@ -192,13 +166,8 @@ def _pairs(blank: Blank, count: int) -> IntArray:
     weight = 1.0 + np.clip(1.0 - worst / 90.0, 0.0, 1.0)
     m = len(inner)
     once = csc_array((np.ones(2 * m), (np.r_[left, right], np.tile(np.arange(m), 2))), (count, m))
-    found = milp(
-        -weight,
-        constraints=LinearConstraint(once, -np.inf, 1.0),
-        integrality=np.ones(m),
-        bounds=Bounds(0.0, 1.0),
-        options={"mip_rel_gap": 1e-3},
-    )
+    limits = {"constraints": LinearConstraint(once, -np.inf, 1.0), "bounds": Bounds(0.0, 1.0)}
+    found = milp(-weight, **limits, integrality=np.ones(m), options={"mip_rel_gap": 1e-3})
     if found.x is None:
         raise InputError(f"the triangles cannot be paired: {found.message}")
     chosen = found.x > 0.5

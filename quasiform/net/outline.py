@@ -6,7 +6,6 @@ lines whose ends meet become loops; the largest loop is the outline and those in
 
 from __future__ import annotations
 
-import itertools
 import logging
 import re
 from collections.abc import Iterable, Sequence
@@ -75,31 +74,14 @@ def with_holes(outline: shapely.Polygon, holes: Iterable[shapely.Polygon]) -> sh
 def read_outline(path: str | Path, scale: float = 1.0) -> shapely.Polygon:
     """Read the outline of a blank from a file.
 
-    ================================  ============================================================
-    .dxf                              lines, polylines, arcs, circles, ellipses and splines of the
-                                      model space, also in blocks; ends nearer than 0.05 mm meet,
-                                      open lines inside the outline are ignored; needs ezdxf
-    .msh .vtu .vtk .stl .obj .ply     the rim of a flat mesh; .stl needs trimesh
-    .step .iges .brep                 the rim of a flat surface; needs gmsh
-    .csv .txt .xy .dat                a corner x, y a line, with or without a heading
-    ================================  ============================================================
+    .dxf                          lines, polylines and curves of the model space, also in blocks;
+                                  ends nearer than 0.05 mm meet, open lines inside are ignored
+    .msh .vtu .vtk .stl .obj .ply .step .iges .brep       the rim of a flat surface
+    .csv .txt .xy .dat            a corner x, y a line, with or without a heading
 
-    Parameters
-    ----------
-    path : path
-    scale : float
-        mm per unit of the file; where the file names its unit ($INSUNITS of a .dxf, the units of a
-        .step), a factor beside it.
-
-    Returns
-    -------
-    shapely.Polygon
-        mm, counter-clockwise.
-
-    Raises
-    ------
-    InputError
-        Naming the file and its defect: not readable, no closed loop, edges that cross, ...
+    The scale is mm per unit of the file; where that names its unit ($INSUNITS of a .dxf, the units
+    of a .step), a factor beside it. The polygon is counter-clockwise. InputError names the file and
+    its defect: not readable, no closed loop, edges that cross, ...
     """
     path = Path(path)
     kind = path.suffix.lower()
@@ -166,7 +148,7 @@ def _from_lines(lines: list[FloatArray], gap: float) -> shapely.Polygon:
     loops = [_loop(shapely.get_coordinates(line)) for line in merged[closed]]
     loops.sort(key=lambda loop: -loop.area)
     loose = merged[~closed]
-    if len(loops):
+    if loops:
         loose = loose[~shapely.covers(loops[0].buffer(GAP), loose)]
     if len(loose):
         raise InputError(_open_end(loose))
@@ -174,18 +156,16 @@ def _from_lines(lines: list[FloatArray], gap: float) -> shapely.Polygon:
     holes: list[shapely.Polygon] = []
     for loop in others:
         apart = [loop.symmetric_difference(other).area for other in (outline, *holes)]
-        if min(apart) >= GAP * loop.length:  # else drawn twice
-            holes.append(loop)
-    for hole in holes:
-        if not outline.contains_properly(hole):
-            at = position(hole.centroid.coords[0])
+        if min(apart) < GAP * loop.length:
+            continue  # drawn twice
+        at = position(loop.centroid.coords[0])
+        if not outline.contains_properly(loop):
             raise InputError(
                 f"more than one outline: a second loop near {at} does not lie inside the largest"
             )
-    for hole, other in itertools.combinations(holes, 2):
-        if hole.intersects(other):
-            at = position(other.centroid.coords[0])
+        if any(hole.intersects(loop) for hole in holes):
             raise InputError(f"a loop lies inside or across another hole near {at}")
+        holes.append(loop)
     return shapely.orient_polygons(with_holes(outline, holes))
 
 
@@ -199,8 +179,7 @@ def _joined(lines: list[FloatArray], gap: float) -> list[FloatArray]:
     different = {}
     for line, (start, end) in zip(lines, middle[group.reshape(-1, 2)], strict=True):
         line = np.vstack([start, line[1:-1], end])
-        key = min(line.round(3).tobytes(), line[::-1].round(3).tobytes())
-        different.setdefault(key, line)
+        different.setdefault(min(p.round(3).tobytes() for p in (line, line[::-1])), line)
     return list(different.values())
 
 

@@ -1,4 +1,4 @@
-"""Values on one flat mesh, interpolated to another."""
+"""Values on one flat mesh, (n, 2) places in mm, interpolated to (m, 2) places of another."""
 
 from __future__ import annotations
 
@@ -8,18 +8,7 @@ FloatArray = np.ndarray
 
 
 def interpolated(places: FloatArray, values: FloatArray, at: FloatArray) -> FloatArray:
-    """Linear interpolation between scattered places; beyond them, the nearest value.
-
-    Parameters
-    ----------
-    places : (n, 2) array, mm
-    values : (n, ...) array
-    at : (m, 2) array, mm
-
-    Returns
-    -------
-    (m, ...) array
-    """
+    """Linear interpolation of values (n, ...); beyond the places, the nearest value."""
     from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
     found = LinearNDInterpolator(places, values)(at)
@@ -29,10 +18,7 @@ def interpolated(places: FloatArray, values: FloatArray, at: FloatArray) -> Floa
 
 
 def smoothly(places: FloatArray, values: FloatArray, at: FloatArray) -> FloatArray:
-    """Cubic interpolation (Clough and Tocher); beyond the places, by radial basis functions.
-
-    Parameters and result as in `interpolated`, with values (n, k).
-    """
+    """Cubic interpolation (Clough and Tocher) of values (n, k); beyond, radial basis functions."""
     from scipy.interpolate import CloughTocher2DInterpolator, RBFInterpolator
 
     found = CloughTocher2DInterpolator(places, values)(at)

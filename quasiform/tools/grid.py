@@ -1,12 +1,9 @@
 """Rigid tools from surface files: a smooth signed distance on a grid.
 
 The distance to a triangle mesh has kinks at every facet, where Newton's method stalls. Therefore
-
-1. the file's triangles are read, placed in the tool's frame (mm) and checked;
-2. the nodes of a coarse grid get their exact signed distance; those of two finer ones get theirs
-   near the surface and interpolate the coarser grid elsewhere;
-3. the tricubic B-spline through the nodes is the distance d. It is C², n is its true gradient and
-   H its true second derivative.
+the nodes of a coarse grid get their exact signed distance; those of two finer ones get theirs near
+the surface and interpolate the coarser grid elsewhere. The tricubic B-spline through the nodes is
+the distance d. It is C², n is its true gradient and H its true second derivative.
 
 Closed surfaces take their sign from the winding number, which the needle-shaped facets of CAD
 exports do not disturb [1]_. Open ones take it from the side of the nearest facet: outside is where
@@ -56,28 +53,19 @@ class SurfaceGrid:
     """A tool's signed distance as a tricubic B-spline. Built by `surface_grid`.
 
     Edges sharper than 2.5 cells are rounded. n is the gradient of the spline and therefore only
-    nearly a unit vector. Facets larger than a cell show in n and H as they do in the file.
-
-    Parameters
-    ----------
-    low, high : (3,) array
-        Box in which the spline is the distance, mm. Beyond it, d is that of the nearest point of
-        the box plus √(s² + h²) - h with the distance s to the box and the spacing h: continuous,
-        with a kink at the box, and negative only close to where the box cuts through the tool.
-    spacing : float
-        h, mm.
-    coefficients : (nx, ny, nz) array
-        Of the B-spline; the first belongs to low - PAD h.
+    nearly a unit vector. Facets larger than a cell show in n and H as they do in the file. Beyond
+    the box, d is that of the nearest point of it plus √(s² + h²) - h with the distance s to the box
+    and the spacing h: continuous, with a kink at the box, and negative only close to where the box
+    cuts through the tool.
     """
 
-    low: FloatArray
+    low: FloatArray  # (3,) and (3,): box in which the spline is the distance, mm
     high: FloatArray
-    spacing: float
-    coefficients: FloatArray = field(repr=False)
+    spacing: float  # h, mm
+    coefficients: FloatArray = field(repr=False)  # (nx, ny, nz), the first at low - PAD h
 
     @property
     def box(self) -> FloatArray:
-        """(2, 3) corners of the box."""
         return np.stack([self.low, self.high])
 
     def distance(self, points: FloatArray) -> Distance:
@@ -105,16 +93,13 @@ class SurfaceGrid:
         cube = np.add.outer(np.add.outer(four * strides[0], four * strides[1]), four * strides[2])
         C = self.coefficients.ravel()[cube[..., None] + strides @ cell]
         one, zero, h = np.ones_like(t), np.zeros_like(t), self.spacing
-        powers = [
-            np.stack([one, t, t**2, t**3]),
-            np.stack([zero, one, 2 * t, 3 * t**2]) / h,
-            np.stack([zero, zero, 2 * one, 6 * t]) / h**2,
-        ]
+        powers = [[one, t, t**2, t**3], [zero, one, 2 * t, 3 * t**2], [zero, zero, 2 * one, 6 * t]]
         # B[order of derivative, coefficient, axis, point]
-        B = np.stack([np.tensordot(_POWERS.T, p, 1) for p in powers])
-        D = np.einsum("xyzm,czm->cxym", C, B[:, :, 2])
-        D = np.einsum("cxym,bym->bcxm", D, B[:, :, 1])
-        D = np.einsum("bcxm,axm->abcm", D, B[:, :, 0])
+        B = [np.tensordot(_POWERS.T, np.stack(p) / h**k, 1) for k, p in enumerate(powers)]
+        Bx, By, Bz = np.moveaxis(np.stack(B), 2, 0)
+        D = np.einsum("xyzm,czm->cxym", C, Bz)
+        D = np.einsum("cxym,bym->bcxm", D, By)
+        D = np.einsum("bcxm,axm->abcm", D, Bx)
         n = [D[1, 0, 0], D[0, 1, 0], D[0, 0, 1]]
         xy, yz, zx = D[1, 1, 0], D[0, 1, 1], D[1, 0, 1]
         H = [[D[2, 0, 0], xy, zx], [xy, D[0, 2, 0], yz], [zx, yz, D[0, 0, 2]]]
@@ -124,19 +109,11 @@ class SurfaceGrid:
 def from_file(
     path: str | Path, low: FloatArray, high: FloatArray, spacing: float | None = None, **how: Any
 ) -> SurfaceGrid:
-    """Smooth signed distance of a surface in a file, placed as that of `SurfaceFile(path, **how)`.
-
-    Raises
-    ------
-    InputError
-        As `SurfaceFile.placed` and `surface_grid`, naming the file.
-    """
+    """Distance of `SurfaceFile(path, **how)` as `surface_grid`; InputError names the file."""
     file = SurfaceFile(Path(path), **how)
-    vertices, triangles, _ = file.placed()
+    surface = file.placed()[:2]
     with naming(path):
-        return surface_grid(
-            vertices, triangles, low, high, spacing, scale=file.scale, flip=file.flip
-        )
+        return surface_grid(*surface, low, high, spacing, scale=file.scale, flip=file.flip)
 
 
 def surface_grid(
@@ -151,22 +128,11 @@ def surface_grid(
 ) -> SurfaceGrid:
     """Return the smooth signed distance of a surface, checked.
 
-    Parameters
-    ----------
-    vertices, triangles : (n, 3) and (m, 3) array
-        In the tool's frame, mm.
-    low, high : (3,) array
-        Box in which the sheet can be, mm. The grid covers it as far as the tool's surroundings.
-    spacing : float, optional
-        Of the grid, mm, by default 2: at most 0.4 of the smallest radius that matters.
-    reach, scale, flip
-        As for `check_surface`; the reach is that of the box by default.
-
-    Raises
-    ------
-    InputError
-        As `check_surface`; when the tool is nowhere near the box; when the grid is too large, or
-        too coarse for the tool.
+    The vertices (n, 3), in mm, are in the tool's frame. The grid covers the box from `low` to
+    `high`, in which the sheet can be, as far as the tool's surroundings; its spacing, 2 mm by
+    default, shall be at most 0.4 of the smallest radius that matters. `reach` (that of the box by
+    default), `scale` and `flip` are as for `check_surface`. InputError also for a tool that is
+    nowhere near the box, and for a grid that is too large, or too coarse for the tool.
     """
     h = check_number("spacing", SPACING if spacing is None else spacing)
     reach = float(np.ptp([low, high], axis=0).max()) if reach is None else reach
@@ -230,15 +196,11 @@ def _signed_distance(
 ) -> FloatArray:
     """Exact signed distance (m,) of points (m, 3) to the triangles; rim: (k, 2) edges."""
     igl = optional("igl", "surface", "a tool from a file needs libigl")
-    if len(rim) == 0:
-        # the sign alone: libigl scales the distance by 1 - 2 |winding number|
-        side, _, foot, _ = igl.signed_distance(
-            points, vertices, triangles, igl.SIGNED_DISTANCE_TYPE_FAST_WINDING_NUMBER
-        )
-        return np.copysign(np.linalg.norm(points - foot, axis=1), side)
-    d, _, foot, normal = igl.signed_distance(
-        points, vertices, triangles, igl.SIGNED_DISTANCE_TYPE_PSEUDONORMAL
-    )
+    sign = "PSEUDONORMAL" if len(rim) else "FAST_WINDING_NUMBER"
+    by = getattr(igl, f"SIGNED_DISTANCE_TYPE_{sign}")
+    d, _, foot, normal = igl.signed_distance(points, vertices, triangles, by)
+    if not len(rim):  # the sign alone: libigl scales the distance by 1 - 2 |winding number|
+        return np.copysign(np.linalg.norm(points - foot, axis=1), d)
     to_rim = np.sqrt(igl.point_mesh_squared_distance(foot, vertices, rim)[0])
     behind = np.minimum(np.einsum("pi,pi->p", points - foot, normal), 0.0)
     from_wall = np.sqrt(np.maximum(d**2 - behind**2, 0.0))
@@ -257,40 +219,30 @@ def check_surface(
 ) -> None:
     """Check that a surface has one size, one outside and no holes where the sheet can be.
 
-    A surface may be open at one outer boundary. Holes are allowed outside the box.
-
-    Parameters
-    ----------
-    vertices, triangles : (n, 3) and (m, 3) array
-        mm.
-    low, high : (3,) array, optional
-        Box in which the sheet can be, mm; by default everywhere.
-    reach : float, optional
-        Size of the blank, mm, for the check of units.
-    scale, flip : float, bool
-        As applied already, for the messages.
-
-    Raises
-    ------
-    InputError
-        Naming the defect and where it is.
+    It may be open at one outer boundary; holes are allowed outside the box from `low` to `high`,
+    mm. `reach` is the size of the blank, mm, for the check of units; `scale` and `flip`, applied
+    already, are for the messages. InputError names the defect and where it is.
     """
     check_numbers(vertices, triangles)
     if reach is not None:
         check_size(np.ptp(vertices[triangles].reshape(-1, 3), axis=0).max(), reach, scale)
     edges, count, turns = edges_of(triangles)
-    _refuse(vertices, edges[count > 2], "shared by more than two triangles")
-    opposite = (count == 2) & (turns != 0)
-    _refuse(vertices, edges[opposite], "between triangles with opposite normals")
+    for wrong, what in (
+        (count > 2, "shared by more than two triangles"),
+        ((count == 2) & (turns != 0), "between triangles with opposite normals"),
+    ):
+        if n := int(wrong.sum()):
+            at = position(vertices[edges[wrong][0]].mean(0))
+            raise InputError(f"{n} edge{'s' * (n > 1)} {what}, one at {at} mm: {REMEDY}")
     corners = vertices[triangles] - vertices.mean(0)
     if (count == 2).all() and np.linalg.det(corners).sum() < 0:
         raise InputError(f"the normals point inwards: set flip = {str(not flip).lower()}")
-    for loop in holes_of(vertices, triangles):
-        start, end = vertices[loop[:, 0]], vertices[loop[:, 1]]
+    for ring in holes_of(vertices, triangles):
+        start, end = vertices[ring], vertices[np.roll(ring, -1)]
         along = start + np.linspace(0.0, 1.0, 20)[:, None, None] * (end - start)
         if low is None or high is None or ((along > low) & (along < high)).all(-1).any():
             raise InputError(
-                f"a hole of {len(loop)} edges, {np.ptp(start, axis=0).max():.3g} mm across, around "
+                f"a hole of {len(ring)} edges, {np.ptp(start, axis=0).max():.3g} mm across, around "
                 f"{position(start.mean(0))} mm: close it ({REMEDY})"
             )
 
@@ -299,10 +251,8 @@ def check_size(size: float, reach: float, scale: float = 1.0) -> None:
     """Refuse a tool of a size (mm) that only a wrong unit explains, beside a blank of `reach`."""
     if not reach / 50 <= size <= reach * 50:
         unit = likely_unit(size / scale, reach)
-        raise InputError(
-            f"the tool is {size:.3g} mm across (scale = {scale:g}) beside a sheet of {reach:.3g} "
-            f"mm: {unit}"
-        )
+        across = f"the tool is {size:.3g} mm across (scale = {scale:g})"
+        raise InputError(f"{across} beside a sheet of {reach:.3g} mm: {unit}")
 
 
 def likely_unit(size: float, reach: float) -> str:
@@ -314,9 +264,3 @@ def likely_unit(size: float, reach: float) -> str:
     return "is the file in " + ", or in ".join(
         f"{unit}? set scale = {known[unit]:g} ({known[unit] * size:.3g} mm)" for unit in near[:2]
     )
-
-
-def _refuse(vertices: FloatArray, edges: np.ndarray, what: str) -> None:
-    if n := len(edges):
-        at = position(vertices[edges[0]].mean(0))
-        raise InputError(f"{n} edge{'s' * (n > 1)} {what}, one at {at} mm: {REMEDY}")

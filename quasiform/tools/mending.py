@@ -27,11 +27,6 @@ def merged(vertices: FloatArray, triangles: np.ndarray) -> tuple[FloatArray, np.
     """Merge vertices nearer than `MERGED`, drop triangles that lose a side and unused vertices.
 
     Returns the vertices, the triangles and what was done beside the merging of equal vertices.
-
-    Raises
-    ------
-    InputError
-        For coordinates that are not finite, or if no triangle has an area.
     """
     check_numbers(vertices, triangles)
     vertices, index = np.unique(vertices, axis=0, return_inverse=True)
@@ -85,7 +80,9 @@ def without_defects(vertices: FloatArray, triangles: np.ndarray) -> tuple[np.nda
         alike = oriented(vertices, triangles)
         repairs.append(f"{_count((alike != triangles).any(1).sum(), 'triangle')} turned round")
         triangles = alike
-    if small := _small_holes(vertices, triangles):
+    area = np.linalg.norm(normals_of(vertices[triangles]), axis=1).sum()
+    holes = [ring for ring in holes_of(vertices, triangles) if len(ring) <= FILLED[0]]
+    if small := [ring for ring in holes if _enclosed(vertices[ring]) < FILLED[1] * area]:
         fans = [[rim[0], b, a] for rim in small for a, b in pairwise(rim[1:])]
         triangles = np.vstack([triangles, fans])
         edges, at = max(map(len, small)), position(vertices[small[0]].mean(0))
@@ -119,17 +116,6 @@ def oriented(vertices: FloatArray, triangles: np.ndarray) -> np.ndarray:
     if (edges_of(triangles)[1] == 2).all():
         turned = np.bincount(patch, np.linalg.det(corners - vertices.mean(0)))[patch] < 0
     return np.where(turned[:, None], alike[:, ::-1], alike)
-
-
-def _small_holes(vertices: FloatArray, triangles: np.ndarray) -> list[list[int]]:
-    """Vertices about each hole that may be filled, in the sense of the triangles beside it."""
-    area = np.linalg.norm(normals_of(vertices[triangles]), axis=1).sum()
-    small = []
-    for ring in (ring for loop in holes_of(vertices, triangles) for ring in rings_of(loop)):
-        edges = np.stack([ring, np.roll(ring, -1)], axis=1)
-        if len(ring) <= FILLED[0] and _enclosed(vertices, edges) < FILLED[1] * area:
-            small.append(ring)
-    return small
 
 
 def rings_of(edges: np.ndarray) -> list[list[int]]:
@@ -213,9 +199,7 @@ def edges_of(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     """Edges (k, 2), how many triangles share each, and the sum of the senses (±1) they run in."""
     ends = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
     key = ends.min(1) * (ends.max() + 1) + ends.max(1)
-    _, first, index, count = np.unique(
-        key, return_index=True, return_inverse=True, return_counts=True
-    )
+    _, first, index, count = np.unique(key, True, True, True)  # where, inverse, counts
     return ends[first], count, np.bincount(index, np.sign(ends[:, 1] - ends[:, 0]))
 
 
@@ -225,32 +209,26 @@ def normals_of(corners: FloatArray) -> FloatArray:
 
 
 def holes_of(vertices: FloatArray, triangles: np.ndarray) -> list[np.ndarray]:
-    """Edges (k, 2) of each hole of a surface, which may be open at one outer rim."""
+    """Vertices (k,) around each hole of a surface, which may be open at one outer rim."""
+    rims = rims_of(vertices, triangles)
     area = np.linalg.norm(normals_of(vertices[triangles]), axis=1).sum()
-    loops = loops_of(vertices, triangles)
-    return [
-        loop for i, loop in enumerate(loops) if i > 0 or _enclosed(vertices, loop) < PINHOLE * area
-    ]
+    pinhole = rims and _enclosed(vertices[rims[0]]) < PINHOLE * area
+    return rims if pinhole else rims[1:]
 
 
-def loops_of(vertices: FloatArray, triangles: np.ndarray) -> list[np.ndarray]:
-    """Edges (k, 2) of each connected part of the rim, the longest first."""
+def rims_of(vertices: FloatArray, triangles: np.ndarray) -> list[np.ndarray]:
+    """Vertices (k,) of each ring of the rim, in the sense of its triangles, the longest first."""
     edges, count, _ = edges_of(triangles)
-    rim, n = edges[count == 1], len(vertices)
-    joined = coo_array((np.ones(len(rim)), rim.T), shape=(n, n))
-    part = connected_components(joined, directed=False)[1][rim[:, 0]]
-    starts = np.flatnonzero(np.diff(np.sort(part))) + 1
-    loops = np.split(rim[np.argsort(part, kind="stable")], starts)
-    return sorted(
-        filter(len, loops), key=lambda e: -np.linalg.norm(np.subtract(*vertices[e.T]), axis=1).sum()
-    )
+    rings = [np.array(ring) for ring in rings_of(edges[count == 1])]
+    sides = [vertices[ring] - vertices[np.roll(ring, -1)] for ring in rings]
+    order = np.argsort([-np.linalg.norm(side, axis=1).sum() for side in sides], kind="stable")
+    return [rings[k] for k in order]
 
 
-def _enclosed(vertices: FloatArray, loop: np.ndarray) -> float:
-    """Twice the area that edges (k, 2) enclose, mm²."""
-    start, end = vertices[loop[:, 0]], vertices[loop[:, 1]]
-    centre = start.mean(0)
-    return float(np.linalg.norm(np.cross(start - centre, end - centre).sum(0)))
+def _enclosed(ring: FloatArray) -> float:
+    """Twice the area that a closed ring (k, 3) encloses, mm²."""
+    arms = ring - ring.mean(0)
+    return float(np.linalg.norm(np.cross(arms, np.roll(arms, -1, axis=0)).sum(0)))
 
 
 def position(point: FloatArray) -> str:

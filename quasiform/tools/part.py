@@ -5,22 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from inspect import signature
 
 import numpy as np
 
-from .shapes import (
-    Plane,
-    Shape,
-    ball,
-    bar,
-    box_punch,
-    flipped,
-    opening,
-    regular_polygon,
-    round_opening,
-    round_punch,
-    tetrahedron_punch,
-)
+from . import shapes
+from .shapes import Shape, opening
 from .surface_file import SurfaceFile
 
 Point = tuple[float, float]
@@ -32,37 +22,27 @@ def _box_opening(length: float, width: float, corner_radius: float, fillet: floa
 
 
 def _triangle_opening(edge: float, azimuth: float, corner_radius: float, fillet: float) -> Shape:
-    return opening(regular_polygon(3, edge, azimuth), corner_radius, fillet)
+    return opening(shapes.regular_polygon(3, edge, azimuth), corner_radius, fillet)
 
 
-# what builds each shape, and from which keys: mm; an azimuth in degrees
-SHAPES: dict[str, tuple[Callable[..., Shape], tuple[str, ...]]] = {
-    "round punch": (round_punch, ("radius",)),
-    "box punch": (box_punch, ("length", "width", "edge_radius")),
-    "tetrahedron punch": (
-        tetrahedron_punch,
-        ("base_edge", "height", "edge_radius", "azimuth"),
-    ),
-    "round opening": (round_opening, ("radius", "fillet")),
-    "box opening": (_box_opening, ("length", "width", "corner_radius", "fillet")),
-    "triangle opening": (_triangle_opening, ("edge", "azimuth", "corner_radius", "fillet")),
-    "ball": (ball, ("radius",)),
-    "bar": (bar, ("radius",)),
-    "plane": (Plane, ()),
+# what builds each shape, from the keys that are its parameters: mm; an azimuth in degrees
+_BUILDERS: dict[str, Callable[..., Shape]] = {
+    "round punch": shapes.round_punch,
+    "box punch": shapes.box_punch,
+    "tetrahedron punch": shapes.tetrahedron_punch,
+    "round opening": shapes.round_opening,
+    "box opening": _box_opening,
+    "triangle opening": _triangle_opening,
+    "ball": shapes.ball,
+    "bar": shapes.bar,
+    "plane": shapes.Plane,
 }
+SHAPES = {name: (build, tuple(signature(build).parameters)) for name, build in _BUILDERS.items()}
 
 
 @dataclass(frozen=True)
 class Form:
-    """A shape of a tool by its name and numbers, such as `Form("round punch", (75.0,))`.
-
-    Parameters
-    ----------
-    shape : str
-        A key of `SHAPES`.
-    numbers : tuple of float
-        In the order of `SHAPES`, mm and degrees.
-    """
+    """A shape by its name and numbers as in `SHAPES`, such as `Form("round punch", (75.0,))`."""
 
     shape: str
     numbers: tuple[float, ...] = ()
@@ -96,4 +76,4 @@ class ToolPart:
         if not isinstance(self.geometry, Form):
             return self.geometry
         shape = self.geometry.build()
-        return flipped(shape) if self.role == "holder" else shape
+        return shapes.flipped(shape) if self.role == "holder" else shape

@@ -57,17 +57,10 @@ class Rounded:
     One point makes a ball, two a round bar, the corners of a polyhedron a polyhedron with filleted
     edges. The nearest point of the hull lies in a vertex, on an edge or on a face; d bends with
     1/(d + radius) in two directions, in one, or not at all.
-
-    Parameters
-    ----------
-    core : (n, 3) array
-        Corners, mm: one point, two, or those of a convex solid.
-    radius : float
-        mm.
     """
 
-    core: FloatArray
-    radius: float
+    core: FloatArray  # (n, 3) one point, two, or the corners of a convex solid, mm
+    radius: float  # mm
 
     def __post_init__(self) -> None:
         check_number("radius", self.radius)
@@ -92,12 +85,10 @@ class Rounded:
 
     @property
     def sharpest(self) -> float:
-        """Smallest radius of curvature, mm."""
         return self.radius
 
     @cached_property
     def box(self) -> FloatArray:
-        """(2, 3) corners of the bounding box, mm."""
         return np.stack([self.core.min(0) - self.radius, self.core.max(0) + self.radius])
 
     def distance(self, points: FloatArray) -> Distance:
@@ -166,24 +157,16 @@ class Opening:
     """A plate below z = 0 with a straight opening along z and a filleted upper edge.
 
     The fillet joins the opening's wall at z = -fillet and the upper face at `fillet` from the wall.
-
-    Parameters
-    ----------
-    hole : Rounded
-        The opening as a solid, long in z.
-    fillet : float
-        mm.
     """
 
-    hole: Rounded
-    fillet: float
+    hole: Rounded  # the opening as a solid, long in z
+    fillet: float  # mm
 
     def __post_init__(self) -> None:
         check_number("fillet", self.fillet)
 
     @property
     def sharpest(self) -> float:
-        """Smallest radius of curvature, mm."""
         return self.fillet
 
     def distance(self, points: FloatArray) -> Distance:
@@ -218,29 +201,18 @@ class Opening:
 
 @dataclass(frozen=True, eq=False)
 class Placed:
-    """Another shape, turned (or mirrored) and moved.
-
-    Parameters
-    ----------
-    shape : Shape
-    axes : (3, 3) array
-        Orthogonal; its columns are the axes of the shape's frame.
-    origin : (3,) array
-        Origin of the shape's frame, mm.
-    """
+    """Another shape, turned (or mirrored) and moved."""
 
     shape: Shape
-    axes: FloatArray
-    origin: FloatArray = (0.0, 0.0, 0.0)
+    axes: FloatArray  # (3, 3) orthogonal; its columns are the axes of the shape's frame
+    origin: FloatArray = (0.0, 0.0, 0.0)  # of the shape's frame, mm
 
     @property
-    def sharpest(self) -> float:
-        """Smallest radius of curvature, mm; 0 where it is unknown."""
+    def sharpest(self) -> float:  # 0 where it is unknown
         return getattr(self.shape, "sharpest", 0.0)
 
     @cached_property
     def box(self) -> FloatArray | None:
-        """(2, 3) corners of the bounding box, mm; None without one."""
         box = getattr(self.shape, "box", None)
         if box is None:
             return None
@@ -302,14 +274,8 @@ def tetrahedron_punch(
 ) -> Rounded:
     """Return a tetrahedron on its tip with filleted edges, the lowest point of the fillet at z = 0.
 
-    Parameters
-    ----------
-    base_edge, height : float
-        Equilateral base (above) and height before rounding, mm.
-    edge_radius : float
-        Of edges and tip, mm.
-    azimuth : float
-        Direction of one of the three edges that run up from the tip, degrees from x.
+    Equilateral base (above) and height are those before rounding, mm; the azimuth is the direction
+    of one of the three edges that run up from the tip, degrees from x.
     """
     from scipy.spatial import ConvexHull
 
@@ -330,12 +296,8 @@ def tetrahedron_punch(
 def opening(corners: FloatArray, corner_radius: float, fillet: float) -> Opening:
     """Return a plate with an opening whose section is a convex polygon with rounded corners.
 
-    Parameters
-    ----------
-    corners : (n, 2) array
-        Corners of the section before rounding, mm, counter-clockwise; one makes it round.
-    corner_radius, fillet : float
-        Of the section and of the upper edge, mm.
+    The corners (n, 2) before rounding, mm, turn counter-clockwise; one makes a round opening. The
+    fillet is that of the upper edge.
     """
     corners = np.atleast_2d(np.asarray(corners, dtype=float))
     check_number("corner_radius" if len(corners) > 1 else "radius", corner_radius)

@@ -38,34 +38,20 @@ CAD = {".step": "step", ".stp": "step", ".iges": "iges", ".igs": "iges", ".brep"
 KINDS = (".stl", ".obj", *MESHIO, *CAD)
 MEMORY = 500_000_000  # bytes for reading a mesh, beside a hundred times its file
 PATIENCE = 120.0  # s, for a CAD file
+CUT_OFF = "the file is cut off, {}: export or copy it anew"
 CAD_MESH = Path(__file__).with_name("cad.py")
 
 
 @dataclass(frozen=True)
 class SurfaceFile:
-    """A tool's surface in a file. A point p of it comes to R (scale p - origin).
-
-    Parameters
-    ----------
-    path : Path
-    scale : float
-        mm per unit of the file.
-    flip : bool
-        Whether the normals are turned round.
-    rotate : (3,) floats
-        R, degrees about the fixed axes x, y, z, in this order.
-    origin : (3,) floats
-        Point of the file, mm, that becomes the tool's origin.
-    spacing : float, optional
-        Of the grid of its distance, mm.
-    """
+    """A tool's surface in a file. A point p of it comes to R (scale p - origin)."""
 
     path: Path
-    scale: float = 1.0
-    flip: bool = False
-    rotate: Vector = (0.0, 0.0, 0.0)
-    origin: Vector = (0.0, 0.0, 0.0)
-    spacing: float | None = None
+    scale: float = 1.0  # mm per unit of the file
+    flip: bool = False  # whether the normals are turned round
+    rotate: Vector = (0.0, 0.0, 0.0)  # R, degrees about the fixed axes x, y, z, in this order
+    origin: Vector = (0.0, 0.0, 0.0)  # point of the file, mm, that becomes the tool's origin
+    spacing: float | None = None  # of the grid of its distance, mm
 
     def placed(self) -> tuple[FloatArray, np.ndarray, list[str]]:
         """Vertices and triangles as `read_surface`, in the tool's frame, and what was repaired."""
@@ -91,25 +77,10 @@ def read_surface(path: str | Path, scale: float = 1.0) -> Surface:
     """Read a surface; nothing is printed and no file is left behind.
 
     Polygons are split into triangles, other cells ignored. STEP and IGES (in mm by their own unit)
-    and BREP are meshed by gmsh, finer where they are curved.
+    and BREP are meshed by gmsh, finer where they are curved. `scale` is mm per unit of the file.
 
-    Parameters
-    ----------
-    path : path
-    scale : float
-        mm per unit of the file.
-
-    Returns
-    -------
-    vertices : (n, 3) array, mm
-        Those that coincide are merged.
-    triangles : (m, 3) array
-        Vertices in the order that turns about the outward normal; none degenerate.
-
-    Raises
-    ------
-    InputError
-        For a file that cannot be read, naming it.
+    Returns vertices (n, 3), mm, those that coincide merged, and triangles (m, 3), turning about the
+    outward normal, none degenerate. InputError names a file that cannot be read.
     """
     return _read(path, scale)[:2]
 
@@ -120,9 +91,8 @@ def _read(path: str | Path, scale: float) -> tuple[FloatArray, np.ndarray, list[
     with naming(path):
         check_number("scale", scale)
         if kind not in KINDS:
-            raise InputError(
-                f"unknown kind of surface '{kind}': expected one of {', '.join(KINDS)}"
-            )
+            known = ", ".join(KINDS)
+            raise InputError(f"unknown kind of surface '{kind}': expected one of {known}")
         check_file(path)
         vertices, triangles = _read_cad(path, CAD[kind]) if kind in CAD else _read_mesh(path, kind)
         check_numbers(vertices, triangles)
@@ -172,28 +142,21 @@ def _whole_stl(content: bytes) -> bytes:
     """Return an STL file without what follows its triangles; refuse one that ends too early."""
     if b"\0" not in content:  # a name may hold any letters; binary triangles hold zeros
         lower = content.lower()
-        if b"facet" in lower and b"endsolid" not in lower[-1000:]:
-            raise InputError(
-                "the file is cut off, without endsolid at its end: export or copy it anew"
-            )
         if content and b"facet" not in lower:
             raise InputError("not a readable .stl file: could not find a facet")
+        if content and b"endsolid" not in lower[-1000:]:
+            raise InputError(CUT_OFF.format("without endsolid at its end"))
         return content
     there = len(content[84:]) // 50
     count = int.from_bytes(content[80:84], "little") or there
     if there < count:
-        raise InputError(
-            f"the file is cut off, {there} triangles of the {count} that its head promises: "
-            "export or copy it anew"
-        )
+        what = f"{there} triangles of the {count} that its head promises"
+        raise InputError(CUT_OFF.format(what))
     return content[:80] + count.to_bytes(4, "little") + content[84 : 84 + 50 * count]
 
 
 def read_mesh(path: Path, kind: str | None = None) -> meshio.Mesh:
-    """Read a mesh, its points (n, 3), by meshio, in the format `kind` or that of the suffix.
-
-    InputError for a file that it cannot read.
-    """
+    """Read a mesh, its points (n, 3), by meshio, in the format `kind` or that of the suffix."""
     reader = import_module(f"meshio.{kind}" if kind else "meshio")
     with _reading(path):
         mesh = reader.read(str(path))
@@ -207,12 +170,8 @@ def read_mesh(path: Path, kind: str | None = None) -> meshio.Mesh:
 def _reading(path: Path) -> Iterator[None]:
     """Silence a reader that prints and warns; what it raises or exits with is an InputError."""
     try:
-        with (
-            redirect_stdout(StringIO()),
-            redirect_stderr(StringIO()),
-            warnings.catch_warnings(),
-            _enough_memory(path.stat().st_size),
-        ):
+        silent = redirect_stdout(StringIO()), redirect_stderr(StringIO())
+        with silent[0], silent[1], warnings.catch_warnings(), _enough_memory(path.stat().st_size):
             warnings.simplefilter("ignore")
             warnings.filterwarnings("error", "string or file could not be read to its end")
             yield
@@ -232,9 +191,9 @@ def _enough_memory(size: int) -> Iterator[None]:
         yield
         return
     soft, hard = resource.getrlimit(resource.RLIMIT_AS)
-    most = used + MEMORY + 100 * size
     limits = [limit for limit in (soft, hard) if limit != resource.RLIM_INFINITY]
-    resource.setrlimit(resource.RLIMIT_AS, (min([most, *limits]), hard))
+    least = min([used + MEMORY + 100 * size, *limits])
+    resource.setrlimit(resource.RLIMIT_AS, (least, hard))
     try:
         yield
     finally:
@@ -252,9 +211,8 @@ def _read_cad(path: Path, kind: str) -> Surface:
                 [sys.executable, "-P", CAD_MESH, path.absolute(), kind, out],
                 cwd=folder,
                 env=os.environ | {"HOME": folder},  # gmsh leaves a folder there
+                capture_output=True,
                 stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.PIPE,
                 timeout=PATIENCE,
             )
         except subprocess.TimeoutExpired as error:

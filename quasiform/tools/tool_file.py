@@ -14,7 +14,7 @@ import numpy as np
 
 from ..checks import InputError, naming
 from . import grid as surface
-from .mending import loops_of, normals_of, position
+from .mending import normals_of, position, rims_of
 from .part import ToolPart
 from .shapes import Tool
 from .surface_file import SurfaceFile
@@ -29,39 +29,22 @@ SAMPLES = 60  # points a side of the grid on which an opening is looked for
 
 @dataclass(frozen=True)
 class ToolFile:
-    """A tool's surface as it was read.
+    """A tool's surface as it was read."""
 
-    Parameters
-    ----------
-    part : ToolPart
-        Of the scene file; its shape is a `SurfaceFile`.
-    thickness : float
-        Of the sheet, mm.
-    grid : SurfaceGrid
-        Its distance, where the sheet can be.
-    vertices : (n, 3) array
-        Placed, repaired, in the tool's own z, mm.
-    n_triangles : int
-    repairs, warnings : list of str
-        What was repaired; what may be wrong, with the line that corrects it.
-    """
-
-    part: ToolPart
-    thickness: float
-    grid: surface.SurfaceGrid
-    vertices: FloatArray
+    part: ToolPart  # its shape is a `SurfaceFile`
+    thickness: float  # of the sheet, mm
+    grid: surface.SurfaceGrid  # its distance, where the sheet can be
+    vertices: FloatArray  # (n, 3), placed, repaired, in the tool's own z, mm
     n_triangles: int
     repairs: list[str]
-    warnings: list[str]
+    warnings: list[str]  # what may be wrong, with the line that corrects it
 
     @property
     def file(self) -> SurfaceFile:
-        """Where it comes from."""
         return self.part.shape
 
     @property
     def name(self) -> str:
-        """Name of the file."""
         return self.file.path.name
 
     @property
@@ -96,12 +79,12 @@ class ToolFile:
             side = "over" if (gap > 0) == self.down else "under"
             where = f"{abs(gap):.3g} mm {side} the {'upper' if self.down else 'lower'} face of"
         size = "{:.4g} x {:.4g} x {:.4g} mm".format(*np.ptp(box, axis=0))
-        middle, tip = position(box.mean(0)[:2]), position(end[:2] + part.place)
-        size += f", {self.n_triangles} triangles, its middle at {middle}"
-        tip = f"its {'lowest' if self.down else 'highest'} point at {tip}"
+        size += f", {self.n_triangles} triangles, its middle at {position(box.mean(0)[:2])}"
+        tip = (
+            f"its {'lowest' if self.down else 'highest'} point at {position(end[:2] + part.place)}"
+        )
         lines = [(f"{part.name} from {self.name}", f"{size}, {tip}, {where} the sheet")]
-        if self.repairs:
-            lines.append((f"{self.name} repaired", "; ".join(self.repairs)))
+        lines += [(f"{self.name} repaired", "; ".join(self.repairs))] * bool(self.repairs)
         warnings = [*self.warnings, *self._lost_in_opening(tools, outline, travel)]
         return lines + [(f"warning, {self.name}", warning) for warning in warnings]
 
@@ -128,10 +111,9 @@ class ToolFile:
                 continue
             width = np.ptp(points[opening][:, :2], axis=0).max()
             if size < SMALL * width:
-                warnings.append(
-                    f"{size:.3g} mm wide (scale = {scale:g}) in an opening of about {width:.2g} "
-                    f"mm: {surface.likely_unit(size / scale, width)}"
-                )
+                small = f"{size:.3g} mm wide (scale = {scale:g}) in an opening of about"
+                unit = surface.likely_unit(size / scale, width)
+                warnings.append(f"{small} {width:.2g} mm: {unit}")
         return warnings
 
     def why_inside(self) -> str:
@@ -148,19 +130,9 @@ class ToolFile:
 def read(part: ToolPart, outline: shapely.Polygon, travel: float, thickness: float) -> ToolFile:
     """Read the surface of a tool, and its distance where the sheet can be.
 
-    Parameters
-    ----------
-    part : ToolPart
-    outline : Polygon
-        Of the flat blank.
-    travel, thickness : float
-        Largest travel of the scene, and of the sheet, mm.
-
-    Raises
-    ------
-    InputError
-        For a file that cannot be read or repaired, that lies nowhere near the sheet, or whose size
-        suggests another unit.
+    The outline is that of the flat blank; the largest travel and the thickness of the sheet are in
+    mm. A file that cannot be read or repaired, that lies nowhere near the sheet, or whose size
+    suggests another unit raises InputError.
     """
     file = part.shape
     reach = np.full(2, 1.1 * max(np.abs(outline.bounds)))
@@ -168,12 +140,10 @@ def read(part: ToolPart, outline: shapely.Polygon, travel: float, thickness: flo
     bottom, top = float(vertices[:, 2].min()), float(vertices[:, 2].max())
     # the sheet is between the punch's lowest point and the die's face
     deep, margin = travel + 4 * thickness, 10.0
-    low, high = {
-        "punch": (bottom - margin, bottom + deep + margin),
-        "die": (top - deep - margin, top + margin),
-        "holder": (bottom - deep - margin, bottom + margin),
-    }[part.role]
-    low, high = np.append(-reach - part.place, low), np.append(reach - part.place, high)
+    face = top if part.role == "die" else bottom
+    below, above = (0.0, deep) if part.role == "punch" else (deep, 0.0)
+    low = np.append(-reach - part.place, face - below - margin)
+    high = np.append(reach - part.place, face + above + margin)
     across = float(np.ptp(np.reshape(outline.bounds, (2, 2)), axis=0).max())
     with naming(file.path):
         surface.check_size(np.ptp(vertices, axis=0).max(), across, file.scale)
@@ -200,18 +170,16 @@ def why_tight(driven: Tool, fixed: Tool, files: Mapping[str, ToolFile], thicknes
         return ""
     origin = files[named[0]].file.moved_origin(*(off if named[0] == driven.name else -off))
     first, second = map(position, middles)
-    return (
-        f"; the middle of the {driven.name} is at {first}, that of the {fixed.name} at {second}; "
-        f"for the {named[0]}, {origin} brings them together"
-    )
+    where = f"the middle of the {driven.name} is at {first}, that of the {fixed.name} at {second}"
+    return f"; {where}; for the {named[0]}, {origin} brings them together"
 
 
 def _orientation_warnings(
     vertices: FloatArray, triangles: np.ndarray, role: str, file: SurfaceFile
 ) -> list[str]:
     """What makes an open surface look upside down or inside out, and the line that corrects it."""
-    loops = loops_of(vertices, triangles)
-    if not loops:
+    rims = rims_of(vertices, triangles)
+    if not rims:
         return []
     # turned by another 180 degrees about x, which reverses the turns about y and z
     x, y, z = file.rotate
@@ -219,29 +187,27 @@ def _orientation_warnings(
     upside_down = "rotate = [{:g}, {:g}, {:g}]".format(*over)
     height = vertices[:, 2] - vertices[:, 2].min()
     tall = height.max() > 1e-3 * np.ptp(vertices)
-    if role == "punch" and tall and height[loops[0]].mean() < 0.1 * height.max():
+    if role == "punch" and tall and height[rims[0]].mean() < 0.1 * height.max():
         return [f"the surface is open towards the sheet: upside down? {upside_down}"]
     up = normals_of(vertices[triangles])[:, 2].sum()
-    if up * (1 if role == "die" else -1) < 0:
-        return [
-            "its normals point away from the sheet: inside out? "
-            f"flip = {str(not file.flip).lower()}; or upside down? {upside_down}"
-        ]
-    return []
+    flip = f"inside out? flip = {str(not file.flip).lower()}; or upside down? {upside_down}"
+    away = up * (1 if role == "die" else -1) < 0
+    return [f"its normals point away from the sheet: {flip}"] if away else []
 
 
 def _check_over_sheet(
     plan: FloatArray, file: SurfaceFile, outline: shapely.Polygon, reach: FloatArray
 ) -> None:
-    low, high = plan.min(0), plan.max(0)
+    low, high = tool = np.stack([plan.min(0), plan.max(0)])
     beside = max(10.0, surface.MARGIN * (file.spacing or surface.SPACING))
     if (low - beside < reach).all() and (high + beside > -reach).all():
         return
-    low_x, low_y, high_x, high_y = outline.bounds
-    off = (low + high) / 2 - [(low_x + high_x) / 2, (low_y + high_y) / 2]
+    sheet = np.reshape(outline.bounds, (2, 2))
+    at = [
+        "x {:.4g} to {:.4g}, y {:.4g} to {:.4g} mm".format(*box.T.ravel()) for box in (tool, sheet)
+    ]
+    moved = file.moved_origin(*(tool - sheet).mean(0))
     raise InputError(
-        f"the tool is nowhere near the sheet: it lies at x {low[0]:.4g} to {high[0]:.4g}, "
-        f"y {low[1]:.4g} to {high[1]:.4g} mm, the sheet at x {low_x:.4g} to {high_x:.4g}, "
-        f"y {low_y:.4g} to {high_y:.4g} mm; {file.moved_origin(*off)} puts it over the middle of "
-        "the sheet"
+        f"the tool is nowhere near the sheet: it lies at {at[0]}, the sheet at {at[1]}; {moved} "
+        "puts it over the middle of the sheet"
     )
