@@ -321,7 +321,7 @@ def read_numbers(path: Path, most: int = WIDEST) -> tuple[list[str], list[str], 
         below = [row for row in rows[first:] if not row.comment]
         width = min(below[0].width, most)
         units = [""] * width
-        if len(above) > 1 and all(not c or _is_unit(c.strip("[]() ")) for c in above[-1]):
+        if len(above) > 1 and all(not cell or is_unit(cell) for cell in above[-1]):
             units = [cell.strip("[]() ") for cell in above.pop()] + units
         for row in below:
             if min(row.width, most) != width:
@@ -336,5 +336,6 @@ def read_numbers(path: Path, most: int = WIDEST) -> tuple[list[str], list[str], 
         raise InputError(f"{path}: {error}") from error
 
 
-def _is_unit(word: str) -> bool:
-    return any(known_unit(quantity, word) for quantity in UNITS)
+def is_unit(cell: str) -> bool:
+    """Whether a cell is a unit such as [kN]."""
+    return any(known_unit(quantity, cell.strip("[]() ")) for quantity in UNITS)

@@ -8,7 +8,6 @@ decided is refused.
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,13 +15,15 @@ from pathlib import Path
 import numpy as np
 
 from .. import tables
-from ..checks import InputError, check_keys, suggestion
+from ..checks import InputError, check_keys, naming, suggestion
 from ..tables import (
     FIRST_NAMES,
     SECOND_NAMES,
     Row,
+    first_of_numbers,
     is_number,
     is_numeric,
+    is_unit,
     known_unit,
     name_unit,
     numbers_in,
@@ -40,39 +41,22 @@ DROP = 0.2  # of the largest force; a specimen whose force drops by more is torn
 LARGEST = 1e9  # mm, N, rad or N/mm
 SMALL = 0.02  # of the largest force: near zero, and where relative noise becomes absolute
 OFFSET = 0.05  # of the largest force; a constant level above is friction, not a load cell's offset
+OTHERS = {"displacement": "shear_angle", "force": "shear_force"}
+SECOND = {quantity: tables.SECOND[quantity] for quantity in OTHERS}
 QUANTITIES = ("displacement", "force", "shear_angle", "shear_force")
-NAMES = {quantity: tables.NAMES[quantity] for quantity in QUANTITIES}
-SECOND = {quantity: tables.SECOND[quantity] for quantity in QUANTITIES[:2]}
-UNITS = {quantity: tables.UNITS[quantity] for quantity in QUANTITIES}
-OTHERS = {"force": "shear_force", "displacement": "shear_angle"}
+NAMES, UNITS = ({q: table[q] for q in QUANTITIES} for table in (tables.NAMES, tables.UNITS))
 
 
 @dataclass(frozen=True)
 class Curve:
-    """The loading part of a test, in mm, radians and N.
+    """The loading part of a test."""
 
-    Parameters
-    ----------
-    force : (n,) array
-        N, or N/mm where `per_length`.
-    displacement : (n,) array or None
-        mm, increasing strictly from zero or above.
-    shear_angle : (n,) array or None
-        rad, measured optically; increasing strictly where there is no displacement.
-    sigma : (n,) array
-        Standard deviation of the force, in its unit.
-    per_length : bool
-        Whether the force is the normalised shear force t0 S12 of a picture frame.
-    notices : tuple of str
-        What was inferred, converted, cut or shifted, a sentence each.
-    """
-
-    force: FloatArray
-    displacement: FloatArray | None
-    shear_angle: FloatArray | None
-    sigma: FloatArray
-    per_length: bool = False
-    notices: tuple[str, ...] = ()
+    force: FloatArray  # (n,) N, or N/mm where `per_length`
+    displacement: FloatArray | None  # (n,) mm, increasing strictly from zero or above
+    shear_angle: FloatArray | None  # (n,) rad; increasing strictly where it has no displacement
+    sigma: FloatArray  # (n,) standard deviation of the force
+    per_length: bool = False  # whether it is the normalised force t0 S12 of a picture frame
+    notices: tuple[str, ...] = ()  # what was inferred, converted, cut or shifted
 
 
 def read(
@@ -80,34 +64,15 @@ def read(
     columns: Mapping[str, str] | None = None,
     units: Mapping[str, str] | None = None,
 ) -> Curve:
-    """Read the loading part of a test from a CSV file.
+    """Read the loading part of a test from a CSV file (see `tables` for its forms).
 
-    The columns are separated by semicolons, tabs, blanks or commas, with a decimal point or
-    comma; lines before the heading are skipped, a line of units may follow it. A force or a
-    shear_force is needed, and a displacement or a shear_angle; other columns are ignored.
-
-    Parameters
-    ----------
-    path : path
-    columns : mapping, optional
-        Heading, or position counted from "1", of a quantity whose heading is not recognised or
-        not the only one. A file without headings needs the positions of all it is read for.
-    units : mapping, optional
-        Unit of a quantity, over what the file says: mm, m, cm, um, in, inch; N, kN, cN, lbf; deg,
-        rad; N/mm, N/m, kN/m.
-
-    Returns
-    -------
-    Curve
-
-    Raises
-    ------
-    InputError
-        Naming the file and its defect, in one line.
+    A force or a shear_force is needed, and a displacement or a shear_angle. `columns` has the
+    heading, or the position from "1", of a quantity whose heading is not recognised or not the only
+    one; a file without headings needs positions. `units` go over those of the file.
     """
     notices: list[str] = []
     columns, units = dict(columns or {}), dict(units or {})
-    try:
+    with naming(path):
         check_keys(columns, NAMES, "columns")
         check_keys(units, NAMES, "units")
         rows = rows_in(text_of(Path(path)))
@@ -120,10 +85,6 @@ def read(
                 reached = _measured(quantity, largest)
                 raise InputError(f"the {_label(quantity)} reaches {reached}: check its unit")
         return _loading(values, lines, notices)
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from error
-    except (csv.Error, InputError) as error:
-        raise InputError(f"{path}: {error}") from error
 
 
 def mean_of(curves: Sequence[Curve]) -> Curve:
@@ -131,11 +92,6 @@ def mean_of(curves: Sequence[Curve]) -> Curve:
 
     Its sigma is the standard error of the mean: the relative scatter between the repeats, averaged
     over a moving fifth of the range, but at least their own noise, over the root of their number.
-
-    Raises
-    ------
-    InputError
-        For different quantities, or without a common range.
     """
     if not curves:
         raise InputError("mean_of needs at least one curve")
@@ -188,22 +144,20 @@ def _quantities(curve: Curve) -> str:
 def _candidates(cells: list[str], columns: Mapping[str, str]) -> dict[str, list[int]]:
     """Columns that may be each quantity: those asked for, else those whose name is known."""
     found: dict[str, list[int]] = {}
+    headings = [(plain(cell), name_unit(cell)[0]) for cell in cells]
     for quantity, asked in columns.items():
         name = plain(str(asked))
-        found[quantity] = [
-            k for k, cell in enumerate(cells) if name in (plain(cell), name_unit(cell)[0])
-        ]
+        found[quantity] = [k for k, names in enumerate(headings) if name in names]
         if not found[quantity] and name.isdecimal() and 1 <= int(name) <= len(cells):
             found[quantity] = [int(name) - 1]
     taken = {k for places in found.values() for k in places}
-    for k, cell in enumerate(cells):
-        quantity = FIRST_NAMES.get(name_unit(cell)[0])
+    for k, (_, name) in enumerate(headings):
+        quantity = FIRST_NAMES.get(name)
         if quantity in NAMES and quantity not in columns and k not in taken:
             found.setdefault(quantity, []).append(k)
     for quantity in [q for q in SECOND if not {q, OTHERS[q]} & found.keys()]:
-        names = [SECOND_NAMES.get(name_unit(cell)[0]) for cell in cells]
-        places = [k for k, name in enumerate(names) if name == quantity and k not in taken]
-        if places:
+        second = [k for k, (_, name) in enumerate(headings) if SECOND_NAMES.get(name) == quantity]
+        if places := [k for k in second if k not in taken]:
             found[quantity] = places
     if "force" in columns or "shear_force" in columns:  # the one asked for, not the other beside it
         found = {q: k for q, k in found.items() if q in columns or not q.endswith("force")}
@@ -211,36 +165,28 @@ def _candidates(cells: list[str], columns: Mapping[str, str]) -> dict[str, list[
 
 
 def _enough(found: Mapping[str, object]) -> bool:
-    return bool(
-        (found.get("force") or found.get("shear_force"))
-        and (found.get("displacement") or found.get("shear_angle"))
-    )
+    return all(any(map(found.get, pair)) for pair in OTHERS.items())
 
 
 def _places(
     rows: list[Row], columns: Mapping[str, str], notices: list[str]
 ) -> tuple[dict[str, int], dict[str, str], int]:
     """Column and declared unit of each quantity, and the first row of numbers."""
-    numbers = next(
-        (k for k, row in enumerate(rows) if is_numeric(row.cells) and not row.comment), None
-    )
-    if numbers is None:
-        raise InputError("no rows of two or more numbers that are not comments")
+    numbers = first_of_numbers(rows)
     if _enough(columns) and all(str(asked).strip().isdecimal() for asked in columns.values()):
         places = {quantity: int(asked) - 1 for quantity, asked in columns.items()}
-        width = max(len(cells) for _, _, cells, _ in rows[numbers:])
+        width = max(len(row.cells) for row in rows[numbers:])
         for asked in columns.values():
             if not 1 <= int(asked) <= width:
                 raise InputError(f"column {asked} not found: there are {width} columns")
         declared = {}
-        for _, _, cells, _ in rows[max(0, numbers - 2) : numbers]:
-            declared |= _declared(cells, places)
+        for row in rows[max(0, numbers - 2) : numbers]:
+            declared |= _declared(row.cells, places)
         return _one_force(places, rows[numbers].cells), declared, numbers
-    heading = 0
-    while is_numeric(rows[heading].cells) or not _enough(_candidates(rows[heading].cells, columns)):
-        heading += 1
-        if heading == len(rows):
-            raise InputError(_no_heading(rows[:numbers], columns))
+    headings = (k for k, row in enumerate(rows) if not is_numeric(row.cells))
+    heading = next((k for k in headings if _enough(_candidates(rows[k].cells, columns))), None)
+    if heading is None:
+        raise InputError(_no_heading(rows[:numbers], columns))
     cells = rows[heading].cells
     found = _candidates(cells, columns)
     for quantity, many in found.items():
@@ -265,12 +211,11 @@ def _places(
 
 
 def _one_force(places: dict[str, int], cells: list[str]) -> dict[str, int]:
-    if "force" in places and "shear_force" in places:
+    if {"force", "shear_force"} <= places.keys():
         force, shear_force = (cells[places[quantity]] for quantity in ("force", "shear_force"))
-        raise InputError(
-            f"'{force}' is a force and '{shear_force}' a shear force: choose one with "
-            f"{_option('columns', 'force', force)} or {_option('columns', 'shear_force', '...')}"
-        )
+        options = _option("columns", "force", force), _option("columns", "shear_force", "...")
+        words = f"'{force}' is a force and '{shear_force}' a shear force"
+        raise InputError(f"{words}: choose one with {' or '.join(options)}")
     return places
 
 
@@ -303,26 +248,19 @@ def _not_found(asked: str, cells: list[str]) -> str:
 
 def _no_heading(rows: list[Row], columns: Mapping[str, str]) -> str:
     """Say what the last line before the numbers that is not one of units lacks."""
-    for _, _, cells, _ in reversed(rows):
-        units = any(
-            known_unit(quantity, cell.strip("[]() ")) for cell in cells for quantity in UNITS
-        )
-        if len(cells) > 1 and not units:
+    for cells in (row.cells for row in reversed(rows)):
+        if len(cells) > 1 and not any(map(is_unit, cells)):
             found = _candidates(cells, columns)
             for quantity, asked in columns.items():
                 if not found[quantity]:
                     return _not_found(str(asked), cells)
-            force = found.get("force") or found.get("shear_force")
-            lacking = "displacement or shear angle" if force else "force or shear force"
-            key = "displacement" if force else "force"
+            key = "displacement" if found.get("force") or found.get("shear_force") else "force"
+            lacking = f"{key} or {_label(OTHERS[key])}"
             near = [cell for cell in cells if known_unit(key, name_unit(cell)[1] or "")]
-            return f"no column of a {lacking}: found {_listed(cells)}; name it with " + _option(
-                "columns", key, near[0] if near else "..."
-            )
-    return (
-        "no line of headings: give positions, "
-        "--columns displacement=1,force=2 (in TOML and Python: columns)"
-    )
+            option = _option("columns", key, near[0] if near else "...")
+            return f"no column of a {lacking}: found {_listed(cells)}; name it with {option}"
+    option = "--columns displacement=1,force=2 (in TOML and Python: columns)"
+    return f"no line of headings: give positions, {option}"
 
 
 def _numbers(
@@ -339,13 +277,7 @@ def _numbers(
 
 
 def rows_of(n: int) -> str:
-    """Return "1 row" or "2 rows".
-
-    Examples
-    --------
-    >>> rows_of(1), rows_of(2)
-    ('1 row', '2 rows')
-    """
+    """Return "1 row" or "2 rows"."""
     return "1 row" if n == 1 else f"{n} rows"
 
 
@@ -371,10 +303,9 @@ def _factor(quantity: str, unit: str | None, values: FloatArray, notices: list[s
     assumed, largest = next(iter(known)), np.abs(values).max()
     if unit is None:
         if quantity == "force" and largest < 0.5:
-            raise InputError(
-                f"the largest force is {largest:.3g} without a unit, which looks like kN: declare "
-                f"it, Force [kN] in the heading or {_option('units', 'force', 'kN')}"
-            )
+            words = f"the largest force is {largest:.3g} without a unit, which looks like kN"
+            option = _option("units", "force", "kN")
+            raise InputError(f"{words}: declare it, Force [kN] in the heading or {option}")
         if quantity == "shear_angle" and largest < 1.6:
             notices.append("The shear angle has no unit and stays below 1.6: taken as rad.")
             return known["rad"]
@@ -384,9 +315,8 @@ def _factor(quantity: str, unit: str | None, values: FloatArray, notices: list[s
     if spelt is None:
         other = [_label(q) for q in UNITS if known_unit(q, unit)]
         hint = f", it is one of a {other[0]}" if other else ""
-        raise InputError(
-            f"unknown unit '{unit}' of the {label}{hint}: expected one of {', '.join(known)}"
-        )
+        words = f"unknown unit '{unit}' of the {label}{hint}"
+        raise InputError(f"{words}: expected one of {', '.join(known)}")
     if known[spelt] != known[assumed]:
         notices.append(f"The {label} was read in {spelt}.")
     return known[spelt]
@@ -417,10 +347,10 @@ def _loading(values: Mapping[str, FloatArray], lines: np.ndarray, notices: list[
 
 def _enough_rows(rows: FloatArray, why: str = "") -> FloatArray:
     """Refuse too few rows (k, n)."""
-    n = rows.shape[-1]
-    if n < FEWEST:
-        belong = "row belongs" if n == 1 else "rows belong"
-        raise InputError(f"only {n} {belong} to the loading, at least {FEWEST} are needed{why}")
+    if (n := rows.shape[-1]) < FEWEST:
+        belong = "belongs" if n == 1 else "belong"
+        words = f"only {rows_of(n)} {belong} to the loading, at least {FEWEST} are needed{why}"
+        raise InputError(words)
     return rows
 
 
@@ -429,11 +359,9 @@ def _end(rows: FloatArray, along: str, force: str, lines: np.ndarray, notices: l
     x, f = rows[:2]
     end = int(x.argmax()) + 1
     _enough_rows(x[:end], f": the {_label(along)} is largest at line {lines[end - 1]}")
-    if end < len(x):
-        notices.append(
-            f"{rows_of(len(x) - end)} after the largest {_label(along)}, "
-            f"{_measured(along, x[end - 1])}, {_were(len(x) - end)} cut."
-        )
+    if n := len(x) - end:
+        largest = f"{_label(along)}, {_measured(along, x[end - 1])}"
+        notices.append(f"{rows_of(n)} after the largest {largest}, {_were(n)} cut.")
     top = int(f[:end].argmax())
     if f[top] > 0 and f[top:end].min() < (1 - DROP) * f[top]:
         notices.append(
@@ -450,12 +378,10 @@ def _ahead(rows: FloatArray, along: str, lines: np.ndarray, notices: list[str]) 
     """Leave out rows that do not move ahead; refuse a record that goes back."""
     x = rows[0]
     reached = np.maximum.accumulate(x)
-    worst = int((reached - x).argmax())
-    if reached[worst] - x[worst] > BACK * np.ptp(x):
-        raise InputError(
-            f"{_label(along)} is not monotone: goes back by "
-            f"{_measured(along, reached[worst] - x[worst])} at line {lines[worst]}"
-        )
+    back, worst = (reached - x).max(), int((reached - x).argmax())
+    if back > BACK * np.ptp(x):
+        words = f"{_measured(along, back)} at line {lines[worst]}"
+        raise InputError(f"{_label(along)} is not monotone: goes back by {words}")
     ahead = np.r_[True, x[1:] > reached[:-1]]
     if not ahead.all():
         n = int((~ahead).sum())
