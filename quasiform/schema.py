@@ -42,17 +42,14 @@ class Table(BaseModel):
     @classmethod
     def _known_keys(cls, table: Any) -> Any:
         if isinstance(table, Mapping):
-            check_keys(table, [field.alias or key for key, field in cls.model_fields.items()])
+            _known(table, [field.alias or key for key, field in cls.model_fields.items()])
         return table
 
 
 def validated(model: type[M], table: Any, folder: Path | None = None) -> M:
     """Return the table of a file as its model; paths are relative to `folder`.
 
-    Raises
-    ------
-    InputError
-        In one line that names table, key, value and what was expected.
+    InputError in one line that names table, key, value and what was expected.
     """
     try:
         return model.model_validate(table, context=folder)
@@ -61,12 +58,7 @@ def validated(model: type[M], table: Any, folder: Path | None = None) -> M:
 
 
 def read_dataclass(kind: type[T], table: Any, where: str = "") -> T:
-    """Return the table of a file, called `where`, as a dataclass that checks its own values.
-
-    Raises
-    ------
-    InputError
-    """
+    """Return the table of a file, called `where`, as a dataclass that checks its own values."""
     given = [f for f in fields(kind) if f.init]
     keys = {f.name: (Any, ...) if f.default is f.default_factory else (Any, OPEN) for f in given}
     if not isinstance(table, Mapping):
@@ -81,8 +73,6 @@ def read_dataclass(kind: type[T], table: Any, where: str = "") -> T:
 def dotted(path: Iterable[str | int]) -> str:
     """Name of a place in a file.
 
-    Examples
-    --------
     >>> dotted(["blank", "holes", 0, "radius"])
     'blank.holes 1.radius'
     """
@@ -105,8 +95,11 @@ def _one_line(error: ErrorDetails, table: Any) -> str:
     if kind == "missing":
         path.append(error["loc"][-1])
     place = dotted(path)
-    if kind == "value_error":  # of a whole table
-        return f"[{place}] {context['error']}" if place else str(context["error"])
+    if kind in ("value_error", "table"):  # of a whole table
+        words = str(context.get("error", error["msg"]))
+        return f"[{place}] {words}" if place else words
+    if kind == "part":  # of the table of a number
+        return f"{place}: {error['msg']}"
     if kind in TABLES:
         return f"{place} = {got!r}: expected a table [{place}]"
     if kind.startswith(("list", "tuple")):
@@ -133,6 +126,17 @@ def _one_line(error: ErrorDetails, table: Any) -> str:
 # Types of keys
 
 
+def _refusal(kind: str, words: str) -> PydanticCustomError:
+    return PydanticCustomError(kind, "{words}", {"words": words})
+
+
+def _known(table: Mapping[str, Any], keys: list[str]) -> None:
+    try:
+        check_keys(table, keys)
+    except InputError as error:
+        raise _refusal("table", str(error)) from error
+
+
 def checked(check: Callable[[Any], Any], **schema: Any) -> Any:
     """Type of a key that `check` turns into its value; its InputError continues the key's name."""
 
@@ -140,7 +144,7 @@ def checked(check: Callable[[Any], Any], **schema: Any) -> Any:
         try:
             return check(value)
         except InputError as error:
-            raise PydanticCustomError("wrong", "{words}", {"words": str(error)}) from error
+            raise _refusal("wrong", str(error)) from error
 
     return Annotated[Any, PlainValidator(wrapped), WithJsonSchema(schema)]
 
@@ -148,9 +152,13 @@ def checked(check: Callable[[Any], Any], **schema: Any) -> Any:
 def number(
     text: str, unit: str, *, zero: bool = False, signed: bool = False, most: float = LARGEST
 ) -> Any:
-    """Type of a key with a number in `unit`; `text` says what it is."""
+    """Type of a key with a number in `unit`, or with `{ value, unit, standing }`."""
 
     def check(value: Any) -> float:
+        if isinstance(value, Mapping):
+            _known(value, ["value", "unit", "standing"])
+            check_standing(value, unit)
+            value = value.get("value")
         if signed:
             if type(value) not in (int, float) or not abs(value) <= most:
                 raise InputError(f"must be a number of up to {most:g}, got {value!r}")
@@ -164,6 +172,15 @@ def number(
     table = {"type": "object", "properties": keys, "additionalProperties": False}
     both = [plain, table | {"required": ["value", "standing"]}]
     return checked(check, anyOf=both, description=text if unit == "1" else f"{text}; {unit}")
+
+
+def check_standing(table: Mapping[str, Any], unit: str) -> None:
+    """Refuse another unit, and no standing or an unknown one."""
+    if table.get("unit", unit) != unit:
+        raise _refusal("part", f"unit must be {unit!r}, got {table['unit']!r}")
+    if (standing := table.get("standing")) not in STANDINGS:
+        known = ", ".join(STANDINGS)
+        raise _refusal("part", f"standing must be one of {known}, got {standing!r}")
 
 
 def vector(text: str, length: int, expected: str = "") -> Any:
@@ -187,63 +204,19 @@ def path(text: str) -> Any:
 
     def check(value: Any, info: ValidationInfo) -> Path:
         if not isinstance(value, str) or not value or "\0" in value:
-            words = f"= {value!r}: expected the path of a file"
-            raise PydanticCustomError("wrong", "{words}", {"words": words})
+            raise _refusal("wrong", f"= {value!r}: expected the path of a file")
         return info.context / value
 
     schema = WithJsonSchema({"type": "string", "description": text})
     return Annotated[Any, PlainValidator(check), schema]
 
 
-# Numbers with a standing
-
-
-def unwrapped(
-    table: Mapping[str, Any], units: Mapping[str, str], together: str = ""
-) -> tuple[dict[str, Any], dict[str, str]]:
-    """Replace `{ value, unit, standing }` by the value, and collect the standings.
-
-    Parameters
-    ----------
-    table : mapping
-        Of a file.
-    units : mapping of key to unit
-        Of the keys with a number.
-    together : str
-        A table whose tables carry one unit (mm) and standing for all their numbers.
-
-    Returns
-    -------
-    table : dict
-    standings : dict of dotted name to standing
-
-    Raises
-    ------
-    InputError
-        For an unknown key, another unit, and no standing or an unknown one.
-    """
-    standings: dict[str, str] = {}
-
-    def walk(value: Any, path: tuple[str | int, ...]) -> Any:
-        if isinstance(value, list):
-            return [walk(inner, (*path, i)) for i, inner in enumerate(value)]
-        if not isinstance(value, dict):
-            return value
-        group = len(path) == 2 and path[0] == together
-        if (group or (path and path[-1] in units)) and value.keys() & {"value", "unit", "standing"}:
-            name, unit = dotted(path), "mm" if group else units[path[-1]]
-            if not group:
-                check_keys(value, ["value", "unit", "standing"], name)
-            if value.get("unit", unit) != unit:
-                raise InputError(f"{name}: unit must be {unit!r}, got {value['unit']!r}")
-            if not group or "standing" in value:
-                standing = value.get("standing")
-                if standing not in STANDINGS:
-                    known = ", ".join(STANDINGS)
-                    raise InputError(f"{name}: standing must be one of {known}, got {standing!r}")
-                standings[name] = standing
-            if not group:
-                return value.get("value")
-        return {key: walk(inner, (*path, key)) for key, inner in value.items()}
-
-    return walk(dict(table), ()), standings
+def standings(table: Any, path: tuple[str | int, ...] = ()) -> dict[str, str]:
+    """Standings in the table of a file by the dotted names of what they are of."""
+    if isinstance(table, Mapping) and "standing" in table:
+        return {dotted(path): table["standing"]}
+    items = enumerate(table) if isinstance(table, list) else ()
+    found: dict[str, str] = {}
+    for key, value in table.items() if isinstance(table, Mapping) else items:
+        found |= standings(value, (*path, key))
+    return found

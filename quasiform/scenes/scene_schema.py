@@ -29,10 +29,11 @@ from ..schema import (
     OPEN,
     STANDINGS,
     Table,
+    check_standing,
     checked,
     number,
     path,
-    unwrapped,
+    standings,
     validated,
     vector,
 )
@@ -66,7 +67,6 @@ NUMBERS = {  # unit and meaning of every key with a number
     "largest": ("mm", "Largest increment of the travel"),
     "rows": ("mm", "Distance of the rows of history.csv"),
 }
-UNITS = {key: unit for key, (unit, _) in NUMBERS.items()}
 
 
 def _number(key: str, **limits: Any) -> Any:
@@ -296,6 +296,13 @@ class _Area(Table):
     unit: Literal["mm"] = "mm"
     standing: Literal[STANDINGS] = OPEN
 
+    @model_validator(mode="before")
+    @classmethod
+    def _standing(cls, table: Any) -> Any:
+        if isinstance(table, Mapping) and table.keys() & {"unit", "standing"}:
+            check_standing({"standing": "assumed", **table}, "mm")
+        return table
+
 
 class _Increments(Table):
     largest: _number("largest") = 5.0
@@ -356,9 +363,8 @@ def read_scene(table: dict[str, Any], folder: Path, stem: str) -> plain.SceneFil
     for key in ("blank", "tools"):
         if not isinstance(table.get(key), dict):
             raise InputError(f"table [{key}] missing")
-    table, standings = unwrapped(table, UNITS, together="areas")
-    table["tools"] = {name: _with_role(name, tool) for name, tool in table["tools"].items()}
-    scene = validated(Scene, table, folder)
+    tools = {name: _with_role(name, tool) for name, tool in table["tools"].items()}
+    scene = validated(Scene, {**table, "tools": tools}, folder)
     return plain.SceneFile(
         name=stem if scene.name is None else scene.name,
         tools=tuple(
@@ -372,7 +378,7 @@ def read_scene(table: dict[str, Any], folder: Path, stem: str) -> plain.SceneFil
         increment=scene.increments.largest,
         rows=scene.increments.rows,
         outputs=scene.outputs.model_dump(),
-        standings=standings,
+        standings=standings(table),
         **scene.model_dump(include={"travel", "gravity", "symmetry"}),
         **scene.blank,
     )
