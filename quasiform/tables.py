@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import csv
 import re
+from collections import Counter
 from collections.abc import Mapping
 from math import pi
 from pathlib import Path
@@ -17,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .checks import InputError, check_file, suggestion
+from .checks import InputError, check_file, naming, suggestion
 
 FloatArray = np.ndarray
 WIDEST = 5000  # characters of a line
@@ -76,10 +77,7 @@ _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf
 
 
 class Row(NamedTuple):
-    """A line that is not blank: its number, whether it is a comment, its cells and their number.
-
-    Empty cells at the end are not among `cells`, but count in `width`.
-    """
+    """A line that is not blank; empty cells at the end are only in `width`."""
 
     line: int
     comment: bool
@@ -88,14 +86,7 @@ class Row(NamedTuple):
 
 
 def text_of(path: Path) -> str:
-    """Text of a file in UTF-8 or Latin-1.
-
-    Raises
-    ------
-    OSError
-    InputError
-        For bytes that are no text, and lines too long for a table.
-    """
+    """Text of a file in UTF-8 or Latin-1; InputError for what cannot be a table."""
     check_file(path)
     content = path.read_bytes()
     try:
@@ -115,30 +106,28 @@ def rows_in(text: str) -> list[Row]:
 
     Where two do, the earlier is right: in "1,5;2,5" the commas are decimal signs.
 
-    Raises
-    ------
-    InputError
-        If there are no rows of two or more numbers.
+    InputError if there are none of two or more numbers.
     """
     lines = [(k, s.strip(" ")) for k, s in enumerate(re.split("\r\n|\r|\n", text), 1) if s.strip()]
     lines = [(k, re.sub(r"\s#.*", "", s) if s[0] in "+-.0123456789" else s) for k, s in lines]
-    best, number = None, 0
+    best, most = None, 0
     for separator in (";", "\t", None, ","):
         count = sum(is_numeric(_split(line, separator)) for _, line in lines[:SAMPLE])
-        if count > number:
-            best, number = separator, count
-    if not number:
+        if count > most:
+            best, most = separator, count
+    if not most:
         raise InputError("no rows of two or more numbers")
-    lines = [(k, line.lstrip("#% "), line[0] in "#%") for k, line in lines]
-    rows = [(k, comment, _split(line, best)) for k, line, comment in lines]
+    bare = [line.lstrip("#% ") for _, line in lines]
+    table = [_split(line, best) for line in bare]
     if best is None:  # a heading may hold blanks, and prose as many words as there are columns
-        widths = [len(cells) for _, _, cells in rows if is_numeric(cells)]
-        width = max(set(widths), key=widths.count)
-        rows = [
-            (k, comment, cells if is_numeric(cells) else _heading(line, width))
-            for (k, comment, cells), (_, line, _) in zip(rows, lines, strict=True)
-        ]
-    return [Row(k, comment, _filled(cells), len(cells)) for k, comment, cells in rows]
+        widths = Counter(len(cells) for cells in table if is_numeric(cells))
+        width = widths.most_common(1)[0][0]
+        for k, cells in enumerate(table):
+            table[k] = cells if is_numeric(cells) else _heading(bare[k], width)
+    return [
+        Row(k, line[0] in "#%", _filled(cells), len(cells))
+        for (k, line), cells in zip(lines, table, strict=True)
+    ]
 
 
 def _heading(line: str, width: int) -> list[str]:
@@ -174,7 +163,7 @@ def is_numeric(cells: list[str]) -> bool:
 
 
 def first_of_numbers(rows: list[Row]) -> int:
-    """Place of the first row of numbers that is not a comment; InputError if there is none."""
+    """Place of the first row of numbers that is not a comment."""
     for k, row in enumerate(rows):
         if is_numeric(row.cells) and not row.comment:
             return k
@@ -185,12 +174,7 @@ def numbers_in(rows: list[Row], columns: Mapping[str, int], gaps: bool = False) 
     """(n, k) numbers of columns, each called in messages as it is named here.
 
     The decimal sign is the comma or the point, whichever there is more of. With `gaps` empty cells
-    are nan.
-
-    Raises
-    ------
-    InputError
-        For a cell that is not a finite number.
+    are nan. InputError for a cell that is not a finite number.
     """
     table = [[row.cells[k] if k < len(row.cells) else "" for k in columns.values()] for row in rows]
     marks = [mark for cells in table for cell in cells for mark in cell if mark in ",."]
@@ -228,17 +212,13 @@ def name_unit(heading: str) -> tuple[str, str | None]:
 
 def known_unit(quantity: str, unit: str) -> str | None:
     """Return the unit as it is spelt here: MM is mm, the other letter µ is the same."""
-    unit = unit.replace("μ", "µ")
-    return {name.casefold(): name for name in UNITS.get(quantity, ())}.get(
-        unit.replace("µ", "u").casefold()
-    )
+    unit = re.sub("[μµ]", "u", unit).casefold()
+    return next((name for name in UNITS.get(quantity, ()) if name.casefold() == unit), None)
 
 
 def name_of(heading: str) -> tuple[str, float]:
     """Name of a column and the factor of its unit; another quantity keeps its heading.
 
-    Examples
-    --------
     >>> name_of("Punch force [kN]"), name_of("shear_angle_deg"), name_of("S12")
     (('force', 1000.0), ('angle', 1.0), ('S12', 1.0))
     """
@@ -266,21 +246,12 @@ def read_table(path: Path, wanted: str = "") -> Columns:
 
     Lengths come in mm, forces in N, energies in mJ, angles in degrees where a heading names its
     unit, else as they stand. Empty cells are nan, rows without a number are left out and counted.
-
-    Parameters
-    ----------
-    path : path
-    wanted : str
-        Heading of the column to be taken as the angle, whatever it is called.
-
-    Raises
-    ------
-    InputError
-        Naming the file and its defect.
+    The column with the heading `wanted` is taken as the angle, whatever it is called. InputError
+    names the file and its defect.
     """
     headings, units, numbers = read_numbers(path)
     found, width = Columns(), numbers.shape[1]
-    try:
+    with naming(path):
         if len(headings) != width:
             such = ", ".join(["x", "y", "z", "angle"][: max(2, min(4, width))])
             raise InputError(f"no line of headings for its {width} columns, such as {such}")
@@ -295,12 +266,9 @@ def read_table(path: Path, wanted: str = "") -> Columns:
             if name in found and name_unit(heading)[0] in SECOND_NAMES:
                 name = heading
             if name in found:
-                raise InputError(
-                    f"two columns of the same meaning: '{heading}' and another ({name})"
-                )
+                words = f"'{heading}' and another ({name})"
+                raise InputError(f"two columns of the same meaning: {words}")
             found[name] = column * factor
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
     return found
 
 
@@ -308,13 +276,9 @@ def read_numbers(path: Path, most: int = WIDEST) -> tuple[list[str], list[str], 
     """Headings, units of the line below them, and numbers (n, k) of the columns of a file.
 
     Only the first columns are read where there are more than `most`; empty cells are nan.
-
-    Raises
-    ------
-    InputError
-        Naming the file and its defect.
+    InputError names the file and its defect.
     """
-    try:
+    with naming(path):
         rows = rows_in(text_of(path))
         first = first_of_numbers(rows)
         above = [row.cells for row in rows[:first]]
@@ -325,15 +289,10 @@ def read_numbers(path: Path, most: int = WIDEST) -> tuple[list[str], list[str], 
             units = [cell.strip("[]() ") for cell in above.pop()] + units
         for row in below:
             if min(row.width, most) != width:
-                raise InputError(
-                    f"line {row.line}: {row.width} cells, the first row of numbers has {width}"
-                )
+                words = f"{row.width} cells, the first row of numbers has {width}"
+                raise InputError(f"line {row.line}: {words}")
         numbers = numbers_in(below, {f"column {k + 1}": k for k in range(width)}, gaps=True)
         return (above[-1] if above else []), units[:width], numbers
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from error
-    except (csv.Error, InputError) as error:
-        raise InputError(f"{path}: {error}") from error
 
 
 def is_unit(cell: str) -> bool:

@@ -44,11 +44,7 @@ def built_in() -> list[str]:
 def load(name: str) -> SceneFile:
     """Read a built-in scene by name, or a TOML file.
 
-    Raises
-    ------
-    InputError
-        For an unknown name, an unreadable file, unknown keys and bad values: one line that names
-        file, table and key.
+    InputError in one line that names file, table and key.
     """
     from .scene_schema import read_scene  # pydantic
 
@@ -63,12 +59,7 @@ def load(name: str) -> SceneFile:
 
 
 def read_text(written: Mapping[str, str]) -> SceneFile:
-    """Return the scene that `scene_toml` has written as `toml`, with its `source`.
-
-    Raises
-    ------
-    InputError
-    """
+    """Return the scene that `scene_toml` has written as `toml`, with its `source`."""
     from .scene_schema import read_scene  # pydantic
 
     file = read_scene(tomllib.loads(written["toml"]), Path(), "scene")
@@ -79,55 +70,34 @@ def json_schema() -> dict[str, Any]:
     """Return the JSON schema of a scene file: keys, units, limits and defaults, for editors."""
     from .scene_schema import Scene
 
-    return {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        **Scene.model_json_schema(),
-    }
+    dialect = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
+    return dialect | Scene.model_json_schema()
 
 
 def scene_toml(file: SceneFile) -> str:
-    """Return a scene as the text of a TOML file with every default; paths are absolute.
-
-    Raises
-    ------
-    InputError
-        For a tool with a shape of the user's own.
-    """
-    blank: dict[str, Any] = _region(file.blank) if file.blank else {}
+    """Return a scene as the text of a TOML file with every default; paths are absolute."""
+    blank = _region(file.blank) if file.blank else {"mesh_scale": file.mesh_scale}
     blank |= {"orientation": file.orientation, "size": file.size, "mesh": file.mesh}
-    if file.blank is None:
-        blank["mesh_scale"] = file.mesh_scale
-    elif file.blank.holes:
-        blank["holes"] = [_region(hole) for hole in file.blank.holes]
     tools = {"holder" if t.name == "blank holder" else t.name: _tool(t) for t in file.tools}
-    law = Path(file.law) if file.law.endswith(".toml") else file.law
-    table = {
-        "name": file.name,
-        "travel": file.travel,
-        "law": law,
-        "gravity": file.gravity,
-        "symmetry": file.symmetry,
+    settings = ("name", "travel", "law", "gravity", "symmetry")
+    table = {key: getattr(file, key) for key in settings} | {
         "blank": blank,
         "tools": tools,
-        "supports": [_place(s.where) | {"fix": s.fix, "clamp": s.clamp} for s in file.supports],
-        "grippers": [
-            _place(g.where)
-            | {"direction": g.direction, "tension": g.tension, "stiffness": g.stiffness}
-            for g in file.grippers
-        ],
-        "areas": {
-            name: {"centre": centre, "radius": radius}
-            for name, (centre, radius) in file.areas.items()
-        },
+        "supports": [_edge(support) for support in file.supports],
+        "grippers": [_edge(gripper) for gripper in file.grippers],
+        "areas": {name: {"centre": c, "radius": r} for name, (c, r) in file.areas.items()},
         "increments": {"largest": file.increment, "rows": file.rows},
         "outputs": dict(file.outputs),
     }
+    if file.law.endswith(".toml"):
+        table["law"] = Path(file.law)
     return toml_text(_plain(table, "", file.standings))
 
 
 def _region(region: Region) -> dict[str, Any]:
     keys = dict(zip(REGION[region.shape][1], region.parameters, strict=True))
-    return {"shape": region.shape, **keys, "centre": region.centre}
+    holes = {"holes": [_region(hole) for hole in region.holes]} if region.holes else {}
+    return {"shape": region.shape, **keys, "centre": region.centre, **holes}
 
 
 def _tool(part: ToolPart) -> dict[str, Any]:
@@ -144,10 +114,11 @@ def _tool(part: ToolPart) -> dict[str, Any]:
     return table | {key: getattr(part, key) for key in keys}
 
 
-def _place(where: Where) -> dict[str, Any]:
+def _edge(edge: Support | Gripper) -> dict[str, Any]:
+    where, keys = edge.where, {k: v for k, v in vars(edge).items() if k != "where"}
     if where.side or where.box:
-        return {"side": where.side or None, "box": where.box}
-    return {"centre": where.centre, "radius": where.radius}
+        return {"side": where.side or None, "box": where.box} | keys
+    return {"centre": where.centre, "radius": where.radius} | keys
 
 
 def _plain(value: Any, name: str, standings: Mapping[str, str]) -> Any:

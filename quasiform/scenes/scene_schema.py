@@ -352,13 +352,7 @@ class Scene(Table):
 
 
 def read_scene(table: dict[str, Any], folder: Path, stem: str) -> plain.SceneFile:
-    """Return the scene that the table of a file describes; `stem` is its name where it has none.
-
-    Raises
-    ------
-    InputError
-        In one line that names table, key, value and what was expected.
-    """
+    """Return the scene that the table of a file describes; `stem` is its name where it has none."""
     check_keys(table, Scene.model_fields)
     for key in ("blank", "tools"):
         if not isinstance(table.get(key), dict):
