@@ -82,8 +82,8 @@ def _draw_stress(axes: Axes, identification: Any) -> None:
         preset = Fabric.preset(name)
         tallest = _tallest(preset, curve.high, TALLEST * S.max())
         if tallest is None:
-            words = f"{preset.name} (paper):\nnot drawn, over {TALLEST:g} times as high"
-            axes.plot([], [], " ", label=words)
+            label = f"{preset.name} (paper):\nnot drawn, over {TALLEST:g} times as high"
+            axes.plot([], [], " ", label=label)
             continue
         top = max(top, tallest)
         value = preset.shear.stress(np.sin(np.radians(gamma)))
@@ -100,10 +100,9 @@ def _draw_points(axes: Axes, forces: Forces, value: np.ndarray, marker: str, lab
 
 
 def _tallest(preset: Fabric, high: float, limit: float) -> float | None:
-    """Stress of a preset up to which the axis reaches, MPa; None where that is above the limit.
+    """Stress of a preset at the largest tested angle, degrees, or at its onset of locking, MPa.
 
-    It is that at the largest tested angle, degrees. A law that locks before that angle is shown up
-    to its onset.
+    None where both are above the limit.
     """
     I6 = np.sin(np.radians(min(high, 90.0)))
     values = (float(preset.shear.stress(at)) for at in (I6, min(I6, preset.shear.I_lo)))
