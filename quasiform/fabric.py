@@ -179,9 +179,8 @@ class TabulatedLaw:
             object.__setattr__(self, name, _increasing(name, getattr(self, name)))
         I6, S12 = self.I6, self.S12
         if len(I6) != len(S12):
-            raise InputError(
-                f"I6 and S12 must be of one length, got {len(I6)} and {len(S12)} numbers"
-            )
+            words = f"got {len(I6)} and {len(S12)} numbers"
+            raise InputError(f"I6 and S12 must be of one length, {words}")
         if I6[0] == 0 and S12[0] != 0:
             raise InputError(f"S12[0] must be 0, where I6[0] = 0, got {S12[0]!r}")
         if I6[0] > 0:
@@ -192,9 +191,8 @@ class TabulatedLaw:
         if I6[-1] > 1.5:
             raise InputError(f"I6 = sin(shear angle) must not exceed 1.5, got {I6[-1]!r}")
         if len(I6) < 4:
-            raise InputError(
-                f"a tabulated law needs at least 4 points with the origin, got {len(I6)}"
-            )
+            words = "a tabulated law needs at least 4 points with the origin"
+            raise InputError(f"{words}, got {len(I6)}")
 
     @property
     def linear(self) -> bool:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import permutations
 from pathlib import Path
 
 import numpy as np
@@ -97,11 +98,11 @@ def mean_of(curves: Sequence[Curve]) -> Curve:
         raise InputError("mean_of needs at least one curve")
     if len(curves) == 1:
         return curves[0]
-    if len({(c.per_length, c.displacement is None) for c in curves}) > 1:
-        raise InputError(
-            "repeats must have the same quantities, got "
-            + " and ".join(dict.fromkeys(_quantities(c) for c in curves))
-        )
+    kinds = dict.fromkeys((c.per_length, c.displacement is None) for c in curves)
+    if len(kinds) > 1:
+        names = ("force", "shear force"), ("displacement", "shear angle")
+        words = " and ".join(f"{names[0][force]} over {names[1][angle]}" for force, angle in kinds)
+        raise InputError(f"repeats must have the same quantities, got {words}")
     along = "shear_angle" if curves[0].displacement is None else "displacement"
     xs = [getattr(c, along) for c in curves]
     low, high = max(x[0] for x in xs), min(x[-1] for x in xs)
@@ -131,11 +132,6 @@ def mean_of(curves: Sequence[Curve]) -> Curve:
         curves[0].per_length,
         (*notices, f"{n} repeats, scatter {100 * np.sqrt(square.mean()):.1f} %"),
     )
-
-
-def _quantities(curve: Curve) -> str:
-    along = "shear angle" if curve.displacement is None else "displacement"
-    return f"{'shear force' if curve.per_length else 'force'} over {along}"
 
 
 # Columns
@@ -176,9 +172,9 @@ def _places(
     if _enough(columns) and all(str(asked).strip().isdecimal() for asked in columns.values()):
         places = {quantity: int(asked) - 1 for quantity, asked in columns.items()}
         width = max(len(row.cells) for row in rows[numbers:])
-        for asked in columns.values():
-            if not 1 <= int(asked) <= width:
-                raise InputError(f"column {asked} not found: there are {width} columns")
+        for place in places.values():
+            if not 0 <= place < width:
+                raise InputError(f"column {place + 1} not found: there are {width} columns")
         declared = {}
         for row in rows[max(0, numbers - 2) : numbers]:
             declared |= _declared(row.cells, places)
@@ -194,10 +190,8 @@ def _places(
             raise InputError(_not_found(str(columns[quantity]), cells))
         if len(many) > 1:
             names = " and ".join(f"'{cells[k]}' (column {k + 1})" for k in many)
-            raise InputError(
-                f"{names} may both be the {_label(quantity)}: choose with "
-                f"{_option('columns', quantity, str(many[0] + 1))}"
-            )
+            option = _option("columns", quantity, str(many[0] + 1))
+            raise InputError(f"{names} may both be the {_label(quantity)}: choose with {option}")
         if quantity not in columns and name_unit(cells[many[0]])[0] in SECOND_NAMES:
             notices.append(f"The column '{cells[many[0]]}' was taken as the {_label(quantity)}.")
     places = _one_force({quantity: many[0] for quantity, many in found.items()}, cells)
@@ -271,7 +265,7 @@ def _numbers(
     if len(table) < FEWEST:
         raise InputError(f"only {rows_of(len(table))} of numbers, at least {FEWEST} are needed")
     if left := len(rows) - len(table):
-        notices.append(f"{rows_of(left)} without numbers {_were(left)} left out.")
+        notices.append(_were(left, "without numbers", "left out"))
     values = numbers_in(table, {f"the {_label(q)}": place for q, place in places.items()})
     return dict(zip(places, values.T.copy(), strict=True)), np.array([row.line for row in table])
 
@@ -281,8 +275,8 @@ def rows_of(n: int) -> str:
     return "1 row" if n == 1 else f"{n} rows"
 
 
-def _were(n: int) -> str:
-    return "was" if n == 1 else "were"
+def _were(n: int, where: str, what: str) -> str:
+    return f"{rows_of(n)} {where} {'was' if n == 1 else 'were'} {what}."
 
 
 # Units
@@ -361,14 +355,12 @@ def _end(rows: FloatArray, along: str, force: str, lines: np.ndarray, notices: l
     _enough_rows(x[:end], f": the {_label(along)} is largest at line {lines[end - 1]}")
     if n := len(x) - end:
         largest = f"{_label(along)}, {_measured(along, x[end - 1])}"
-        notices.append(f"{rows_of(n)} after the largest {largest}, {_were(n)} cut.")
+        notices.append(_were(n, f"after the largest {largest},", "cut"))
     top = int(f[:end].argmax())
     if f[top] > 0 and f[top:end].min() < (1 - DROP) * f[top]:
-        notices.append(
-            f"The force drops by more than {100 * DROP:g} % after {_measured(force, f[top])} at "
-            f"{_measured(along, x[top])}: {rows_of(end - top)} from there on "
-            f"{_were(end - top)} cut."
-        )
+        place = f"after {_measured(force, f[top])} at {_measured(along, x[top])}"
+        rest = _were(end - top, "from there on", "cut")
+        notices.append(f"The force drops by more than {100 * DROP:g} % {place}: {rest}")
         end = top
     _enough_rows(x[:end])
     return end
@@ -386,7 +378,7 @@ def _ahead(rows: FloatArray, along: str, lines: np.ndarray, notices: list[str]) 
     if not ahead.all():
         n = int((~ahead).sum())
         move = "does not move" if n == 1 else "do not move"
-        notices.append(f"{rows_of(n)} that {move} ahead {_were(n)} left out.")
+        notices.append(_were(n, f"that {move} ahead", "left out"))
     return _enough_rows(rows[:, ahead])
 
 
@@ -395,10 +387,9 @@ def _from_zero(rows: FloatArray, force: str, notices: list[str]) -> FloatArray:
     x, f = rows[:2]
     if slack := _slack(x, f):
         start, level = slack
-        notices.append(
-            f"Slack up to {start:.4g} mm was cut, displacement counts from there; the constant "
-            f"{_measured(force, level)} before it was subtracted from the force."
-        )
+        cut = f"Slack up to {start:.4g} mm was cut, displacement counts from there"
+        before = f"the constant {_measured(force, level)} before it was subtracted from the force"
+        notices.append(f"{cut}; {before}.")
         return np.stack([x - start, f - level, *rows[2:]])[:, x > start]
     if x[0] == 0:
         return rows
@@ -464,11 +455,9 @@ def _noise(x: FloatArray, f: FloatArray) -> FloatArray:
     """
     k = np.arange(2, len(x) - 2)
     near = k[:, None] + [-2, -1, 1, 2]  # (n - 4, 4)
-    weight = np.ones(near.shape)
-    for a in range(4):
-        for b in range(4):
-            if a != b:
-                weight[:, a] *= (x[k] - x[near[:, b]]) / (x[near[:, a]] - x[near[:, b]])
+    weight = np.ones(near.shape)  # of Lagrange
+    for a, b in permutations(range(4), 2):
+        weight[:, a] *= (x[k] - x[near[:, b]]) / (x[near[:, a]] - x[near[:, b]])
     left = (f[k] - (weight * f[near]).sum(axis=1)) / np.sqrt(1 + (weight**2).sum(axis=1))
     floor = SMALL * f.max()
     local = np.maximum((f[k - 1] + f[k] + f[k + 1]) / 3, floor)

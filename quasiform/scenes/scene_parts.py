@@ -12,10 +12,8 @@ import numpy as np
 import shapely
 
 from ..net import outline as outlines
-from ..tools.part import SHAPES, Form, ToolPart
-from ..tools.surface_file import SurfaceFile
+from ..tools.part import ToolPart
 
-__all__ = ["SHAPES", "Form", "SurfaceFile", "ToolPart"]
 Point = tuple[float, float]
 REGION: dict[str, tuple[Callable[..., shapely.Polygon], tuple[str, ...]]] = {
     "rectangle": (outlines.rectangle, ("length", "width")),
@@ -24,8 +22,6 @@ REGION: dict[str, tuple[Callable[..., shapely.Polygon], tuple[str, ...]]] = {
     "file": (outlines.read_outline, ("file", "scale")),
 }
 MOTIONS = {"punch": "driven", "die": "fixed", "holder": "free"}
-OF_A_TOOL = ("friction", "mass", "force", "z", "place", "tilt")
-OF_A_FILE = ("scale", "flip", "rotate", "origin", "spacing")
 
 
 @dataclass(frozen=True)
