@@ -19,14 +19,15 @@ from dataclasses import asdict, dataclass, field, fields
 from functools import cached_property
 from numbers import Integral, Real
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
-from .checks import InputError, check_number, suggestion
+from .checks import InputError, check_keys, check_number, suggestion
 from .toml_file import read_toml, toml_text
 
 FloatArray = np.ndarray
+T = TypeVar("T")
 
 
 def invariants(F: FloatArray, a0: FloatArray, b0: FloatArray) -> tuple[FloatArray, ...]:
@@ -392,8 +393,6 @@ def fabric_of(law: str | Path | Fabric) -> Fabric:
 
 
 def _fabric(table: dict[str, Any]) -> Fabric:
-    from .schema import read_dataclass  # pydantic, only where a file is read
-
     stages, points = ([f.name for f in fields(law)] for law in (ThreeStageLaw, TabulatedLaw))
     for key in [key for key in table if key in ("shear", "warp", "weft")]:
         numbers, kind = table[key], ThreeStageLaw
@@ -407,8 +406,23 @@ def _fabric(table: dict[str, Any]) -> Fabric:
             if mixed := [stage for stage in stages if stage in numbers]:
                 words = f"{point} is of a table, {mixed[0]} of a three-stage law"
                 raise InputError(f"[{key}] {words}: give one of the two")
-        table[key] = read_dataclass(kind, numbers, key)
-    return read_dataclass(Fabric, table)
+        table[key] = _checked(kind, numbers, key)
+    return _checked(Fabric, table)
+
+
+def _checked(kind: type[T], table: Any, where: str = "") -> T:
+    """Return the table of a file, called `where`, as a dataclass that checks its own values."""
+    if not isinstance(table, Mapping):
+        raise InputError(f"{where} = {table!r}: expected a table [{where}]")
+    known = {f.name: f.default is f.default_factory for f in fields(kind)}  # has it no default?
+    try:
+        check_keys(table, known)
+        for name in known:
+            if known[name] and name not in table:
+                raise InputError(f"{name} missing")
+        return kind(**table)
+    except InputError as error:
+        raise InputError(f"[{where}] {error}" if where else str(error)) from error
 
 
 def _provenance(given: Any) -> dict[str, str | float]:

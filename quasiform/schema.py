@@ -5,7 +5,6 @@ Import this module where a file is read, not with the package: pydantic takes a 
 
 import re
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import fields
 from pathlib import Path
 from types import NoneType
 from typing import Annotated, Any, TypeVar
@@ -18,14 +17,12 @@ from pydantic import (
     ValidationError,
     ValidationInfo,
     WithJsonSchema,
-    create_model,
     model_validator,
 )
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from .checks import InputError, check_keys, check_number, suggestion
 
-T = TypeVar("T")
 M = TypeVar("M", bound="Table")
 LARGEST = 1e6  # of a number, in its unit: a kilometre, a meganewton
 STANDINGS = ("measured", "stated", "exact", "peer", "inferred", "assumed")
@@ -42,7 +39,7 @@ class Table(BaseModel):
     @classmethod
     def _known_keys(cls, table: Any) -> Any:
         if isinstance(table, Mapping):
-            _known(table, [field.alias or key for key, field in cls.model_fields.items()])
+            check_keys(table, [field.alias or key for key, field in cls.model_fields.items()])
         return table
 
 
@@ -55,19 +52,6 @@ def validated(model: type[M], table: Any, folder: Path | None = None) -> M:
         return model.model_validate(table, context=folder)
     except ValidationError as error:
         raise InputError(_one_line(error.errors(include_url=False)[0], table)) from error
-
-
-def read_dataclass(kind: type[T], table: Any, where: str = "") -> T:
-    """Return the table of a file, called `where`, as a dataclass that checks its own values."""
-    given = [f for f in fields(kind) if f.init]
-    keys = {f.name: (Any, ...) if f.default is f.default_factory else (Any, OPEN) for f in given}
-    if not isinstance(table, Mapping):
-        raise InputError(f"{where} = {table!r}: expected a table [{where}]")
-    try:
-        validated(create_model(kind.__name__, __base__=Table, **keys), table)
-        return kind(**table)
-    except InputError as error:
-        raise InputError(f"[{where}] {error}" if where else str(error)) from error
 
 
 def dotted(path: Iterable[str | int]) -> str:
@@ -130,13 +114,6 @@ def _refusal(kind: str, words: str) -> PydanticCustomError:
     return PydanticCustomError(kind, "{words}", {"words": words})
 
 
-def _known(table: Mapping[str, Any], keys: list[str]) -> None:
-    try:
-        check_keys(table, keys)
-    except InputError as error:
-        raise _refusal("table", str(error)) from error
-
-
 def checked(check: Callable[[Any], Any], **schema: Any) -> Any:
     """Type of a key that `check` turns into its value; its InputError continues the key's name."""
 
@@ -156,8 +133,7 @@ def number(
 
     def check(value: Any) -> float:
         if isinstance(value, Mapping):
-            _known(value, ["value", "unit", "standing"])
-            check_standing(value, unit)
+            check_standing(value, unit, "value", "unit", "standing")
             value = value.get("value")
         if signed:
             if type(value) not in (int, float) or not abs(value) <= most:
@@ -174,8 +150,12 @@ def number(
     return checked(check, anyOf=both, description=text if unit == "1" else f"{text}; {unit}")
 
 
-def check_standing(table: Mapping[str, Any], unit: str) -> None:
-    """Refuse another unit, and no standing or an unknown one."""
+def check_standing(table: Mapping[str, Any], unit: str, *keys: str) -> None:
+    """Refuse an unknown key, another unit, and no standing or an unknown one."""
+    try:
+        check_keys(table, keys)
+    except InputError as error:
+        raise _refusal("table", str(error)) from error
     if table.get("unit", unit) != unit:
         raise _refusal("part", f"unit must be {unit!r}, got {table['unit']!r}")
     if (standing := table.get("standing")) not in STANDINGS:

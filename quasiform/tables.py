@@ -85,8 +85,12 @@ class Row(NamedTuple):
     width: int
 
 
-def text_of(path: Path) -> str:
-    """Text of a file in UTF-8 or Latin-1; InputError for what cannot be a table."""
+def read_rows(path: Path) -> list[Row]:
+    """Rows of a file that are not blank, by the separator that gives most rows of numbers.
+
+    Where two do, the earlier is right: in "1,5;2,5" the commas are decimal signs. InputError for
+    what is no text in UTF-8 or Latin-1, and where no row has two numbers.
+    """
     check_file(path)
     content = path.read_bytes()
     try:
@@ -95,20 +99,10 @@ def text_of(path: Path) -> str:
         text = content.decode("latin-1")
     if re.search("[\x00-\x08\x0e-\x1f]", text):
         raise InputError("not a text file: expected CSV in UTF-8 or Latin-1")
-    for number, line in enumerate(re.split("\r\n|\r|\n", text), 1):
-        if len(line) > WIDEST:  # the time for a heading grows with the square of its blanks
-            raise InputError(f"line {number} has {len(line)} characters: no row of a table")
-    return text
-
-
-def rows_in(text: str) -> list[Row]:
-    """Rows that are not blank, by the separator that gives most rows of numbers.
-
-    Where two do, the earlier is right: in "1,5;2,5" the commas are decimal signs.
-
-    InputError if there are none of two or more numbers.
-    """
     lines = [(k, s.strip(" ")) for k, s in enumerate(re.split("\r\n|\r|\n", text), 1) if s.strip()]
+    for k, line in lines:
+        if len(line) > WIDEST:  # the time for a heading grows with the square of its blanks
+            raise InputError(f"line {k} has {len(line)} characters: no row of a table")
     lines = [(k, re.sub(r"\s#.*", "", s) if s[0] in "+-.0123456789" else s) for k, s in lines]
     best, most = None, 0
     for separator in (";", "\t", None, ","):
@@ -203,8 +197,7 @@ def plain(name: str) -> str:
 def name_unit(heading: str) -> tuple[str, str | None]:
     """Plain name and unit of a heading such as Force [kN]."""
     if plain(heading) not in FIRST_NAMES | SECOND_NAMES and len(heading) < 200:
-        for pattern in _NAME_UNIT:
-            match = pattern.fullmatch(heading)
+        for match in (pattern.fullmatch(heading) for pattern in _NAME_UNIT):
             if match:
                 return plain(match[1]), match[2] or None
     return plain(heading), None
@@ -279,7 +272,7 @@ def read_numbers(path: Path, most: int = WIDEST) -> tuple[list[str], list[str], 
     InputError names the file and its defect.
     """
     with naming(path):
-        rows = rows_in(text_of(path))
+        rows = read_rows(path)
         first = first_of_numbers(rows)
         above = [row.cells for row in rows[:first]]
         below = [row for row in rows[first:] if not row.comment]

@@ -29,8 +29,7 @@ from ..tables import (
     name_unit,
     numbers_in,
     plain,
-    rows_in,
-    text_of,
+    read_rows,
 )
 
 FloatArray = np.ndarray
@@ -76,7 +75,7 @@ def read(
     with naming(path):
         check_keys(columns, NAMES, "columns")
         check_keys(units, NAMES, "units")
-        rows = rows_in(text_of(Path(path)))
+        rows = read_rows(Path(path))
         places, declared, first = _places(rows, columns, notices)
         values, lines = _numbers(rows[first:], places, notices)
         for quantity in values:

@@ -304,7 +304,7 @@ class _Area(Table):
     @classmethod
     def _standing(cls, table: Any) -> Any:
         if isinstance(table, Mapping) and table.keys() & {"unit", "standing"}:
-            schema.check_standing({"standing": "assumed", **table}, "mm")
+            schema.check_standing({"standing": "assumed", **table}, "mm", *cls.model_fields)
         return table
 
 
