@@ -44,46 +44,26 @@ FOLDER = _PACKAGED if _PACKAGED.is_dir() else Path(__file__).parents[2] / "geome
 OF_A_TOOL = ("friction", "mass", "force", "z", "place", "tilt")
 OF_A_FILE = ("scale", "flip", "rotate", "origin", "spacing")
 MOST_ROWS = 10_000
-NUMBERS = {  # unit and meaning of every key with a number
-    "travel": ("mm", "Travel of the driven tools from first touch"),
-    "length": ("mm", "Along x"),
-    "width": ("mm", "Along y"),
-    "radius": ("mm", "Radius"),
-    "fillet": ("mm", "Radius of the edge that the sheet is drawn over"),
-    "edge_radius": ("mm", "Radius of the rounded edges"),
-    "corner_radius": ("mm", "Radius of the corners, seen from above"),
-    "base_edge": ("mm", "Edge of the base, before rounding"),
-    "height": ("mm", "Height from base to tip, before rounding"),
-    "edge": ("mm", "Edge of the triangle, before rounding"),
-    "azimuth": ("deg", "Direction of a corner, from x"),
-    "orientation": ("deg", "Angle of the warp to x"),
-    "size": ("mm", "Spacing of the fibre lines; well below the smallest fillet"),
-    "scale": ("mm", "Length of one unit of the file"),
-    "mesh_scale": ("mm", "Length of one unit of the mesh file"),
-    "friction": ("1", "Coulomb coefficient with the sheet; the fabric's if left out"),
-    "mass": ("kg", "Mass that rests on the sheet"),
-    "force": ("N", "Force on the sheet beside the weight"),
-    "z": ("mm", "Height of the tool; where it touches the sheet if left out"),
-    "spacing": ("mm", "Spacing of the grid of distances of a surface file"),
-    "tension": ("N", "Pull"),
-    "stiffness": ("N/mm", "Decrease of the pull with the motion"),
-    "largest": ("mm", "Largest increment of the travel"),
-    "rows": ("mm", "Distance of the rows of history.csv"),
+LENGTHS = {  # of the shapes, mm
+    "length": "Along x",
+    "width": "Along y",
+    "radius": "Radius",
+    "fillet": "Radius of the edge that the sheet is drawn over",
+    "edge_radius": "Radius of the rounded edges",
+    "corner_radius": "Radius of the corners, seen from above",
+    "base_edge": "Edge of the base, before rounding",
+    "height": "Height from base to tip, before rounding",
+    "edge": "Edge of the triangle, before rounding",
 }
 
 
-def _number(key: str, **limits: Any) -> Any:
-    unit, text = NUMBERS[key]
-    return number(text, unit, **limits)
-
-
 def _mesh(value: Any) -> str:
-    if isinstance(value, str) and "." in value:
+    word = value if isinstance(value, str) else ""
+    if "." in word:
         raise InputError("is a file, which has its own outline: leave out shape")
-    if not isinstance(value, str) or value not in ("fibre", "free"):
-        known = suggestion(value if isinstance(value, str) else "", ("fibre", "free"))
-        raise InputError(f"= {value!r}: {known}")
-    return value
+    if word not in ("fibre", "free"):
+        raise InputError(f"= {value!r}: {suggestion(word, ('fibre', 'free'))}")
+    return word
 
 
 def _law(value: Any) -> str:
@@ -110,8 +90,8 @@ _PAIR = {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems"
 KEYS = {  # type and default of the keys of a shape; all others are lengths that must be given
     "points": (checked(_points, type="array", items=_PAIR, description="Corners x, y, mm"), ...),
     "file": (path("Drawing, mesh or table of the outline"), ...),
-    "scale": (_number("scale"), 1.0),
-    "azimuth": (_number("azimuth", signed=True), 0.0),
+    "scale": (number("Length of one unit of the file", "mm"), 1.0),
+    "azimuth": (number("Direction of a corner, from x", "deg", signed=True), 0.0),
 }
 
 
@@ -129,7 +109,7 @@ def _union(
     """Type of a table with a shape: one model for each, and what is `made` of it."""
     models = list(others)
     for kind, (_, names) in kinds.items():
-        keys = {key: KEYS.get(key) or (_number(key, most=most), ...) for key in names}
+        keys = {key: KEYS.get(key) or (number(LENGTHS[key], "mm", most=most), ...) for key in names}
         model = create_model(kind, __base__=base, shape=(Literal[kind], ...), **keys)
         models.append(Annotated[model, Tag(kind)])
     which = tool_shape if kinds is SHAPES else shape
@@ -154,9 +134,9 @@ def tool_shape(table: Any) -> str | None:
 
 
 class _Sheet(Table):
-    orientation: _number("orientation", signed=True) = 0.0
-    size: _number("size") = OPEN
-    mesh_scale: _number("mesh_scale") = OPEN
+    orientation: number("Angle of the warp to x", "deg", signed=True) = 0.0
+    size: number("Spacing of the fibre lines; well below the smallest fillet", "mm") = OPEN
+    mesh_scale: number("Length of one unit of the mesh file", "mm") = OPEN
 
 
 class _OwnMesh(_Sheet):
@@ -197,21 +177,21 @@ def _blank(table: _Blank | _OwnMesh) -> dict[str, Any]:
 class _Tool(Table):
     role: _word("Its name if left out", "punch", "die", "holder") = OPEN
     motion: _word("That of its role if left out", "driven", "fixed", "free") = OPEN
-    friction: _number("friction", zero=True) = OPEN
-    mass: _number("mass", zero=True) = 0.0
-    force: _number("force", zero=True) = 0.0
-    z: _number("z", signed=True) = OPEN
+    friction: number("Coulomb coefficient; the fabric's if left out", "1", zero=True) = OPEN
+    mass: number("Mass that rests on the sheet", "kg", zero=True) = 0.0
+    force: number("Force on the sheet beside the weight", "N", zero=True) = 0.0
+    z: number("Height; where it touches the sheet if left out", "mm", signed=True) = OPEN
     place: PLACE = (0.0, 0.0)
     tilt: _flag("Whether a free tool may tilt") = OPEN
 
 
 class _FromFile(_Tool):
     file: path("The tool's surface")
-    scale: _number("scale") = 1.0
+    scale: number("Length of one unit of the file", "mm") = 1.0
     flip: _flag("Whether the inside of the surface is out") = False
     rotate: vector("Turn about x, y and z, degrees", 3, TURN) = (0.0, 0.0, 0.0)
     origin: vector("Point of the file that comes to the middle, mm", 3, ORIGIN) = (0.0, 0.0, 0.0)
-    spacing: _number("spacing") = OPEN
+    spacing: number("Spacing of the grid of distances of a surface file", "mm") = OPEN
 
 
 def _part(table: _Tool) -> ToolPart:
@@ -242,7 +222,7 @@ class _Place(Table):
     side: _word("Side of the blank", *OUTWARDS) = OPEN
     box: vector("x0, y0, x1, y1, mm", 4) = OPEN
     centre: POINT = OPEN
-    radius: _number("radius") = OPEN
+    radius: number("Radius", "mm") = OPEN
 
 
 LETTERS = {"type": "string", "pattern": "^[xyz]+$", "description": "Directions that are fixed"}
@@ -255,8 +235,8 @@ class _Support(_Place):
 
 class _Gripper(_Place):
     direction: vector("Of the pull, outwards if left out", 2) = OPEN
-    tension: _number("tension", zero=True) = 0.0
-    stiffness: _number("stiffness", zero=True) = 0.0
+    tension: number("Pull", "N", zero=True) = 0.0
+    stiffness: number("Decrease of the pull with the motion", "N/mm", zero=True) = 0.0
 
 
 def _where(table: _Place) -> Where:
@@ -296,7 +276,7 @@ def _gripper(table: _Gripper) -> Gripper:
 
 class _Area(Table):
     centre: POINT
-    radius: _number("radius")
+    radius: number("Radius", "mm")
     unit: Literal["mm"] = "mm"
     standing: Literal[schema.STANDINGS] = OPEN
 
@@ -309,8 +289,8 @@ class _Area(Table):
 
 
 class _Increments(Table):
-    largest: _number("largest") = 5.0
-    rows: _number("rows") = 5.0
+    largest: number("Largest increment of the travel", "mm") = 5.0
+    rows: number("Distance of the rows of history.csv", "mm") = 5.0
 
 
 class _Outputs(Table):
@@ -330,7 +310,7 @@ class Scene(Table):
     """
 
     name: StrictStr = OPEN
-    travel: _number("travel")
+    travel: number("Travel of the driven tools from first touch", "mm")
     law: checked(_law, type="string", description="Preset, or path of a material file") = "locking"
     gravity: _flag("Whether the sheet's own weight acts") = False
     symmetry: _word("Whether mirror planes are used", "auto", "none") = "auto"
