@@ -240,10 +240,11 @@ def _fabric(table: Table, folder: Path) -> Fabric:
     base = str(table.base)
     fabric = fabric_of(folder / base if base.endswith(".toml") else base)
     given = table.model_dump(exclude_unset=True, exclude={"base"})
-    origins = {k: str(v) for k, v in fabric.provenance.items() if k in VALUES}
-    for name, known in origins.items():
-        if not known.startswith((ASSUMED, "that of ")):
-            origins[name] = f"that of {fabric.name}: {known}"
+    origins = dict.fromkeys(VALUES, f"{ASSUMED}{fabric.name}")
+    for name in origins.keys() & fabric.provenance.keys():
+        known = str(fabric.provenance[name])
+        passed_on = known.startswith((ASSUMED, "that of "))
+        origins[name] = known if passed_on else f"that of {fabric.name}: {known}"
     return replace(fabric, **given, provenance=origins | dict.fromkeys(given, "given"))
 
 
