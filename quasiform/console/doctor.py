@@ -13,7 +13,7 @@ from scipy.sparse import csr_array
 
 from ..solve.linear import linear_solver
 
-PACKAGES = ("numpy", "scipy", "scikit-fem", "pyamg", "meshio", "shapely", "matplotlib", "cyclopts")
+PACKAGES = ("numpy", "scipy", "scikit-fem", "meshio", "shapely", "matplotlib", "cyclopts")
 SOLVERS = {
     "pardiso": "the fastest",
     "superlu": "scipy's",

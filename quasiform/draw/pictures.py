@@ -257,21 +257,9 @@ def _draw_scale(
 def level_lines(
     x: FloatArray, triangles: np.ndarray, values: FloatArray, levels: Sequence[float]
 ) -> FloatArray:
-    """Lines on which a function, linear in each triangle, has one of some values.
+    """Segments (k, 2, d) on which a function, linear in each triangle, has one of some values.
 
-    Parameters
-    ----------
-    x : (n, d) array
-        Points.
-    triangles : (m, 3) int array
-    values : (n,) array
-        Of the function at the points.
-    levels : list of float
-
-    Returns
-    -------
-    (k, 2, d) array
-        Segments, one for each triangle and each level that crosses it.
+    x (n, d) are the points and values (n,) those of the function there.
 
     Examples
     --------

@@ -58,12 +58,7 @@ class Certificate:
 
 
 def certify(result: Outcome) -> Certificate:
-    """Check the end of a run.
-
-    Parameters
-    ----------
-    result : Outcome
-    """
+    """Check the end of a run."""
     model, pivots = result.model, result.negative_pivots
     figures = {
         "residual_relative": result.residual,
@@ -119,12 +114,7 @@ def one_of_many(result: Outcome) -> str:
 
 
 def trust(result: Outcome) -> list[str]:
-    """What limits the numbers of a run, one sentence each.
-
-    Parameters
-    ----------
-    result : Outcome
-    """
+    """What limits the numbers of a run, one sentence each."""
     found = [
         f"the mesh error of {name} is {100 * error / abs(value):.0f} % of its value"
         for name, value in result.quantities.items()

@@ -15,14 +15,9 @@ FloatArray = np.ndarray
 def judged(result: Outcome, coarser: Sequence[Outcome]) -> Outcome:
     """Return a result with the error of its mesh, from the same model on coarser meshes.
 
-    It stays without an estimate where the coarse model is another one (a user has added terms or
-    changed the travel) or stopped early, or where one of the two has collapsed.
-
-    Parameters
-    ----------
-    result : Outcome
-    coarser : sequence of Outcome
-        Coarsest first, each of twice the size of the next.
+    The coarsest comes first, each is of twice the size of the next. It stays without an estimate
+    where the coarse model is another one (a user has added terms or changed the travel) or stopped
+    early, or where one of the two has collapsed.
     """
     levels = [result]
     for coarse in reversed(coarser):

@@ -12,10 +12,7 @@ from ..energy.contact import LEVER, Contact, moment
 from ..energy.membrane import Membrane
 from ..energy.term import Term
 from ..net.blank import Blank
-from ..net.edges import EdgePoint, disc, edge_points
 from .sheet import FormedSheet
-
-__all__ = ["EdgePoint", "disc", "edge_points"]
 
 FloatArray = np.ndarray
 LIFTED = 0.1  # of the thickness: a flange that is lifted further has wrinkled
@@ -111,23 +108,10 @@ def flange_lift(contacts: Iterable[Contact], x: FloatArray) -> float:
 def wrinkles(
     terms: Iterable[Term], x: FloatArray, blank: Blank, source: np.ndarray
 ) -> dict[str, float | None]:
-    """Largest curvature (1/mm), and waves of each family of fibres off punch and die.
+    """Largest curvature (1/mm), and of each family how many lines wave and how far apart (mm).
 
-    Parameters
-    ----------
-    terms : iterable of Term
-        Of the modelled part.
-    x : (n_dofs,) array
-        mm.
-    blank : Blank
-        The whole sheet.
-    source : (n_nodes,) int array
-        Node of the modelled part that each node of the whole mirrors.
-
-    Returns
-    -------
-    dict
-        Empty without bending; else the curvature, how many lines wave, and their wavelength (mm).
+    Off punch and die, at x (n_dofs,); `source` (n_nodes,) is the node of the modelled part that
+    each node of the whole mirrors. Empty without bending.
     """
     terms, found = list(terms), {}
     for term in terms:
@@ -155,18 +139,7 @@ def max_penetration(contacts: Iterable[Contact], x: FloatArray) -> float:
 def chord_penetration(
     contacts: Iterable[Contact], x: FloatArray, middles: FloatArray, thickness: float
 ) -> float:
-    """Deepest penetration at the middle of an element edge, mm: how far chords cut fillets.
-
-    Parameters
-    ----------
-    contacts : iterable of Contact
-    x : (n_dofs,) array
-        mm.
-    middles : (n_edges, 3) array
-        Middles of the element edges, mm.
-    thickness : float
-        Of the sheet, mm.
-    """
+    """Deepest penetration at the middles (n_edges, 3) of element edges, mm: chords cut fillets."""
     deepest = 0.0
     for contact in contacts:
         y = contact.in_tool_frame(x, middles - contact.origin(x))
@@ -179,11 +152,7 @@ def resting_tools(
 ) -> dict[str, dict[str, float | list[float]]]:
     """Lift (mm) and tilt (degrees) of each free tool, or the moment its guide takes (N mm).
 
-    Parameters
-    ----------
-    model : Scene
-    x, start : (n_dofs,) arrays
-        Positions and rigid degrees of freedom now and at the start, mm.
+    x and start (n_dofs,) are positions and rigid degrees of freedom now and at the start, mm.
     """
     found: dict[str, dict[str, Any]] = {}
     for contact in model.contacts:

@@ -14,13 +14,7 @@ from .record import FORMAT
 
 
 def summarise(result: Outcome, certificate: Certificate) -> dict[str, Any]:
-    """Contents of `summary.json`: numbers that are not finite become None.
-
-    Parameters
-    ----------
-    result : Outcome
-    certificate : Certificate
-    """
+    """Contents of `summary.json`: numbers that are not finite become None."""
     model, sheet = result.model, result.sheet
     gamma, areas = np.abs(sheet.shear_angle), sheet.flat_areas
     strain = np.maximum(sheet.cell_fields["E11"], sheet.cell_fields["E22"]).max()

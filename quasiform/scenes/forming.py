@@ -132,7 +132,8 @@ def formed_between_tools(
     tools, from_files = like.tools if like else _tools(file, fabric, outline)
     for read in from_files.values():
         description += read.told(tools, outline, travel)
-    check_clearance(tools, from_files, outline, fabric.thickness, travel)
+    if not like:
+        check_clearance(tools, from_files, outline, fabric.thickness, travel)
     mirror, why = mirror_planes(file, tools, outline, orientation, travel, symmetry, fabric)
     description += why
     frame = orientation if mirror else 0.0
