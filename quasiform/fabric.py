@@ -176,24 +176,21 @@ class TabulatedLaw:
     S12: tuple[float, ...]
 
     def __post_init__(self) -> None:
-        for name in ("I6", "S12"):
-            object.__setattr__(self, name, _increasing(name, getattr(self, name)))
-        I6, S12 = self.I6, self.S12
-        if len(I6) != len(S12):
-            words = f"got {len(I6)} and {len(S12)} numbers"
-            raise InputError(f"I6 and S12 must be of one length, {words}")
-        if I6[0] == 0 and S12[0] != 0:
-            raise InputError(f"S12[0] must be 0, where I6[0] = 0, got {S12[0]!r}")
-        if I6[0] > 0:
-            check_number(f"S12[0], where I6[0] = {I6[0]!r},", S12[0])
-            I6, S12 = (0.0, *I6), (0.0, *S12)
-            object.__setattr__(self, "I6", I6)
-            object.__setattr__(self, "S12", S12)
-        if I6[-1] > 1.5:
-            raise InputError(f"I6 = sin(shear angle) must not exceed 1.5, got {I6[-1]!r}")
-        if len(I6) < 4:
-            words = "a tabulated law needs at least 4 points with the origin"
-            raise InputError(f"{words}, got {len(I6)}")
+        I6, S12 = _increasing("I6", self.I6), _increasing("S12", self.S12)
+        lengths = f"{len(I6)} and {len(S12)}"
+        at, origin = f"where I6[0] = {I6[0]:g}", (0.0,) if I6[0] > 0 else ()
+        n, last, stress = len(I6) + len(origin), I6[-1], S12[0]
+        for wrong, words in (
+            (len(I6) != len(S12), f"I6 and S12 must be of one length, got {lengths} numbers"),
+            (not origin and stress > 0, f"S12[0] must be 0, {at}, got {stress!r}"),
+            (origin and stress == 0, f"S12[0], {at}, must be a positive number, got {stress!r}"),
+            (last > 1.5, f"I6 = sin(shear angle) must not exceed 1.5, got {last!r}"),
+            (n < 4, f"a tabulated law needs at least 4 points with the origin, got {n}"),
+        ):
+            if wrong:
+                raise InputError(words)
+        object.__setattr__(self, "I6", (*origin, *I6))
+        object.__setattr__(self, "S12", (*origin, *S12))
 
     @property
     def linear(self) -> bool:
@@ -330,13 +327,11 @@ class Fabric:
     def __post_init__(self) -> None:
         if not isinstance(self.name, str):
             raise InputError(f"Fabric(name=...) must be a text, got {self.name!r}")
-        for name in ("shear", "warp", "weft"):
-            law, kinds = getattr(self, name), (ThreeStageLaw, TabulatedLaw)
-            kinds = kinds if name == "shear" else kinds[:1]
-            if not isinstance(law, kinds):
+        three = (ThreeStageLaw,)
+        for name, kinds in (("shear", (*three, TabulatedLaw)), ("warp", three), ("weft", three)):
+            if not isinstance(law := getattr(self, name), kinds):
                 words = f"a {' or a '.join(kind.__name__ for kind in kinds)}"
-                got = type(law).__name__
-                raise InputError(f"Fabric({name}=...) must be {words}, got {got}")
+                raise InputError(f"Fabric({name}=...) must be {words}, got {type(law).__name__}")
         for name in (*_POSITIVE, *_MAY_BE_ZERO):
             zero_allowed = name in _MAY_BE_ZERO
             check_number(f"Fabric({name}=...)", getattr(self, name), zero_allowed=zero_allowed)

@@ -266,7 +266,7 @@ def _cantilever(k: float, load_beyond: Callable[[NDArray], NDArray]) -> sp.optim
         c = np.cos(state[0])
         return np.array([state[1], -k * load_beyond(s) * c, c, np.sin(state[0])])
 
-    def clamp_and_free_end(clamp: NDArray, tip: NDArray) -> NDArray:
+    def ends(clamp: NDArray, tip: NDArray) -> NDArray:
         return np.array([clamp[0], tip[1], clamp[2], clamp[3]])
 
     # first guess: a long cantilever under a tip load, theta'' = -k cos(theta), theta -> pi/2
@@ -275,8 +275,7 @@ def _cantilever(k: float, load_beyond: Callable[[NDArray], NDArray]) -> sp.optim
     theta = np.pi / 2 - 4 * np.arctan(decay)
     curvature = 4 * np.sqrt(k) * decay / (1 + decay**2)
     guess = np.array([theta, curvature, s * np.cos(theta), s * np.sin(theta)])
-    settings = {"tol": 1e-9, "max_nodes": 20_000}
-    solution = sp.integrate.solve_bvp(rates, clamp_and_free_end, s, guess, **settings)
+    solution = sp.integrate.solve_bvp(rates, ends, s, guess, tol=1e-9, max_nodes=20_000)
     if not solution.success:
         raise RuntimeError(
             f"elastica with k = {k:g} not solved after {solution.niter} iterations: residual "

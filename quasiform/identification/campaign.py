@@ -154,19 +154,13 @@ def _files(value: Any) -> list[str]:
     return files
 
 
-def _words(value: Any) -> dict[str, str]:
-    if not isinstance(value, Mapping) or not all(isinstance(v, str) for v in value.values()):
-        raise InputError(f'= {value!r}: expected a table such as {{ force = "..." }}')
-    return dict(value)
-
-
-WORDS, ANY = checked(_words), (Any, OPEN)
+ANY = (Any, OPEN)
 
 
 class _Shear(Table):
     files: checked(_files)
-    columns: WORDS = OPEN
-    units: WORDS = OPEN
+    columns: dict[str, StrictStr] = OPEN
+    units: dict[str, StrictStr] = OPEN
     low: Annotated[number("Smallest shear angle", "deg", zero=True), Field(alias="from")] = LOWEST
     high: Annotated[number("Largest shear angle", "deg"), Field(alias="to")] = 90.0
 
