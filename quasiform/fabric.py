@@ -266,7 +266,11 @@ def _increasing(name: str, values: Any) -> tuple[float, ...]:
 _TENSION = ThreeStageLaw(C_ini=1000.0)
 _POSITIVE = ("thickness", "compaction", "shear_range")
 _MAY_BE_ZERO = ("bending_warp", "bending_weft", "friction", "areal_weight", "in_plane_bending")
-_MD600_SHEAR = {"C_ini": 0.334, "S_ini": 0.00386, "C_mid": 0.00196, "dS_mid": 0.0399}
+_MD600 = {"C_ini": 0.334, "S_ini": 0.00386, "C_mid": 0.00196, "dS_mid": 0.0399}
+PRESETS = {
+    "locking": {"C_lo": 1000.0, "I_lo": 0.819},
+    "best-fit": {"C_lo": 0.911, "I_lo": 0.610},
+}
 
 
 @dataclass(frozen=True)
@@ -309,9 +313,7 @@ class Fabric:
     """
 
     name: str = "MD600 locking"
-    shear: ThreeStageLaw | TabulatedLaw = field(
-        default_factory=lambda: ThreeStageLaw(**_MD600_SHEAR, C_lo=1000.0, I_lo=0.819)
-    )
+    shear: ThreeStageLaw | TabulatedLaw = ThreeStageLaw(**_MD600, **PRESETS["locking"])
     warp: ThreeStageLaw = _TENSION
     weft: ThreeStageLaw = _TENSION
     thickness: float = 1.004
@@ -342,12 +344,9 @@ class Fabric:
     @staticmethod
     def preset(name: str) -> Fabric:
         """MD600 with the 'best-fit' or the 'locking' shear law of Table 1, by this name."""
-        if name == "locking":
-            return Fabric()
-        if name == "best-fit":
-            shear = ThreeStageLaw(**_MD600_SHEAR, C_lo=0.911, I_lo=0.610)
-            return Fabric(name="MD600 best-fit", shear=shear)
-        raise InputError(f"unknown law '{name}': {suggestion(name, PRESETS)}, or a .toml file")
+        if name not in PRESETS:
+            raise InputError(f"unknown law '{name}': {suggestion(name, PRESETS)}, or a .toml file")
+        return Fabric(f"MD600 {name}", ThreeStageLaw(**_MD600, **PRESETS[name]))
 
     @staticmethod
     def load(path: str | Path) -> Fabric:
@@ -375,9 +374,6 @@ class Fabric:
         return _fabric(dict(written))
 
 
-PRESETS = ("locking", "best-fit")
-
-
 def fabric_of(law: str | Path | Fabric) -> Fabric:
     """Return a `Fabric`: itself, a preset by name, or read from a TOML file."""
     if isinstance(law, Fabric):
@@ -391,14 +387,10 @@ def _fabric(table: dict[str, Any]) -> Fabric:
     stages, points = ([f.name for f in fields(law)] for law in (ThreeStageLaw, TabulatedLaw))
     for key in [key for key in table if key in ("shear", "warp", "weft")]:
         numbers, kind = table[key], ThreeStageLaw
-        if (
-            key == "shear"
-            and isinstance(numbers, Mapping)
-            and not numbers.keys().isdisjoint(points)
-        ):
+        given = numbers if key == "shear" and isinstance(numbers, Mapping) else ()
+        if point := next((name for name in given if name in points), None):
             kind = TabulatedLaw
-            point = next(name for name in numbers if name in points)
-            if mixed := [stage for stage in stages if stage in numbers]:
+            if mixed := [stage for stage in stages if stage in given]:
                 words = f"{point} is of a table, {mixed[0]} of a three-stage law"
                 raise InputError(f"[{key}] {words}: give one of the two")
         table[key] = _checked(kind, numbers, key)
