@@ -203,13 +203,3 @@ def resting_tools(
         turning = model.sheet.to_user(turning) + entry.get("held_moment_Nmm", np.zeros(2))
         entry["held_moment_Nmm"] = turning.tolist()
     return found
-
-
-def interpolated(nodes: FloatArray, values: FloatArray, points: FloatArray) -> FloatArray:
-    """Values at (k, 2) points from (n,) ones at (n, 2) nodes: linear, beyond them the nearest."""
-    from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
-
-    found = LinearNDInterpolator(nodes, values)(points)
-    outside = np.isnan(found)
-    found[outside] = NearestNDInterpolator(nodes, values)(points[outside])
-    return found

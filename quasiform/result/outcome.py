@@ -11,6 +11,7 @@ import numpy as np
 from ..model import Model
 from ..net.blank import Blank
 from ..net.edges import disc
+from ..net.transfer import interpolated
 from . import measures
 from .sheet import FormedSheet
 
@@ -30,10 +31,7 @@ class State:
 
 @dataclass(repr=False)
 class Outcome:
-    """A finished or stopped run; `Result` adds the verdict on it and its files.
-
-    The parameters are those of `Result`.
-    """
+    """A finished or stopped run; `Result` documents it, and adds the verdict and the files."""
 
     model: Model
     states: list[State]
@@ -202,4 +200,4 @@ class Outcome:
     def shear_angle_at(self, points: FloatArray) -> FloatArray:
         """(n,) shear angle at (n, 2) points of the flat sheet, degrees; beyond it, the nearest."""
         at_nodes = measures.nodal(self.blank, self.shear_angle)
-        return measures.interpolated(self.blank.nodes, at_nodes, points)
+        return interpolated(self.blank.nodes, at_nodes, points)

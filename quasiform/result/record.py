@@ -30,15 +30,7 @@ NEEDED = {"point_fields": ("displacement",), "cell_fields": ("shear_angle", "war
 
 
 class Sheets(Sequence[FormedSheet]):
-    """Formed sheets by travel, each made or read when it is asked for.
-
-    Parameters
-    ----------
-    travels : sequence of float
-        mm, ascending.
-    load : callable
-        Returns the sheet of a state by its number.
-    """
+    """Formed sheets by travel (mm, ascending), each loaded by its number when it is asked for."""
 
     def __init__(self, travels: Sequence[float], load: Callable[[int], FormedSheet]) -> None:
         self.travels = tuple(travels)
@@ -89,10 +81,7 @@ class Record:
     def read(cls, folder: str | Path) -> Record:
         """Read the folder of a run; a mesh is read when it is asked for.
 
-        Raises
-        ------
-        InputError
-            Naming the file and its defect.
+        InputError names the file and its defect.
         """
         folder = Path(folder)
         if not folder.is_dir():
@@ -130,12 +119,8 @@ class Record:
         """Name or file of its scene, wherever the working folder is.
 
         A file is looked for where it was when the run was made, then where it was named from:
-        beside the run's folder and in it (they may have moved together), and from here.
-
-        Raises
-        ------
-        InputError
-            If it is in none of these places.
+        beside the run's folder and in it (they may have moved together), and from here. InputError
+        if it is in none of these places.
         """
         given, recorded = str(self.parameters["scene"]), self.parameters.get("scene_file")
         if self.folder is None or not given.endswith(".toml"):
@@ -163,8 +148,7 @@ class Record:
         """End of the travel: what was asked for, as far as it is known, or what was reached."""
         given = self.parameters
         asked = given.get("travel", given.get("displacement", 0.0))
-        asked = self.model.travel if self.model is not None else float(asked)
-        return max(asked, self.travel) or 1.0
+        return max(float(self.model.travel if self.model else asked), self.travel) or 1.0
 
     @property
     def travel_name(self) -> str:
@@ -247,13 +231,7 @@ class Record:
     def write(self, folder: str | Path, since: int = 0, increments: bool = True) -> None:
         """Write all but the pictures into an existing folder.
 
-        Parameters
-        ----------
-        folder : path
-        since : int
-            First of the sheets along the travel that is written.
-        increments : bool
-            Whether the sheets along the travel are written.
+        Sheets along the travel are written from number `since` on; without `increments` none.
         """
         folder, end = Path(folder), self.sheets[-1]
         summary = json.dumps(self.summary, indent=2, allow_nan=False, default=np.generic.item)
@@ -322,13 +300,7 @@ def _read_history(path: Path) -> dict[str, FloatArray]:
 
 
 def sheet_files(folder: Path) -> list[tuple[float | None, Path]]:
-    """Travels and files of the sheets in a folder; a single one has no travel of its own.
-
-    Raises
-    ------
-    InputError
-        If there is none.
-    """
+    """Travels and files of the sheets in a folder; a single one has no travel of its own."""
     increments, single = folder / "result.pvd", folder / "result.vtu"
     if increments.exists() and b"<DataSet" in increments.read_bytes():
         return series(increments)
@@ -338,13 +310,7 @@ def sheet_files(folder: Path) -> list[tuple[float | None, Path]]:
 
 
 def series(path: Path) -> list[tuple[float, Path]]:
-    """Times (travels) and files that a .pvd file names, by time.
-
-    Raises
-    ------
-    InputError
-        If it is not readable, or names no file.
-    """
+    """Times (travels) and files that a .pvd file names, by time."""
     try:
         found = [
             (float(entry.get("timestep", "nan")), path.parent / entry.get("file", ""))
