@@ -54,29 +54,10 @@ def save(
     end: float | None = None,
     animate: str | None = None,
 ) -> list[str]:
-    """Write pictures of runs into an existing folder.
+    """Write pictures of runs, each at its last sheet, into an existing folder.
 
-    Parameters
-    ----------
-    runs : list of Record
-        Each is shown at its last sheet (`Record.near` chooses another).
-    folder : path
-    only : list of str, optional
-        Which of `PICTURES`; all of them if not given.
-    end : float, optional
-        End of the colour scale, degrees.
-    animate : "gif" or "mp4", optional
-        Also write the travel as an animation.
-
-    Returns
-    -------
-    notes : list of str
-        What could not be drawn, and why.
-
-    Raises
-    ------
-    InputError
-        For an unknown picture, a broken file, or an mp4 without ffmpeg.
+    `only` names some of `PICTURES`, `end` is that of the colour scale (degrees), and `animate` is
+    "gif" or "mp4". Returns what could not be drawn, and why.
     """
     from matplotlib import rc_context
 
@@ -98,12 +79,7 @@ def save(
 
 
 def check_animation(kind: str | None) -> None:
-    """Refuse an animation that cannot be written here.
-
-    Raises
-    ------
-    InputError
-    """
+    """Refuse an animation that cannot be written here."""
     if kind not in (None, "gif", "mp4"):
         raise InputError(f"animate must be 'gif' or 'mp4', got {kind!r}")
     if kind == "mp4" and shutil.which("ffmpeg") is None:
@@ -135,7 +111,7 @@ def _row(run: Record) -> dict[str, str]:
         numbers["certified"] = "yes" if run.certified else "no", "s"
     numbers["linear_solves"] = summary.get("linear_solves"), "g"
     numbers["wall_s"] = summary.get("wall_s"), ".1f"
-    return {"case": run.case, "fabric": str(run.fabric.get("name", "unknown"))} | {
+    return {"case": run.case, "fabric": run.fabric_name} | {
         name: format(value, form) if _known(value) else "-"
         for name, (value, form) in numbers.items()
     }
@@ -171,9 +147,8 @@ def _grid(count: int, *frames: FloatArray, below: float = 0.8) -> tuple[Figure, 
     blocks = -(-count // columns)
     heights = [_height(frame, plot.WIDTH / columns) for frame in frames]
     figure = plot.new_figure((sum(heights) + 0.62) * blocks + below)
-    axes = figure.subplots(
-        blocks * len(frames), columns, squeeze=False, height_ratios=heights * blocks
-    )
+    shape = {"nrows": blocks * len(frames), "ncols": columns, "squeeze": False}
+    axes = figure.subplots(**shape, height_ratios=heights * blocks)
     axes = axes.reshape(blocks, len(frames), columns).transpose(0, 2, 1).reshape(-1, len(frames))
     for spare in axes[count:].ravel():
         spare.axis("off")
@@ -234,22 +209,13 @@ def _draw_scale(
     figure: Figure, grid: np.ndarray, runs: Sequence[Record], colours: ScalarMappable
 ) -> None:
     """Horizontal scale of colours below all axes, with the locking angles marked."""
-    bar = plot.draw_colour_bar(
-        figure,
-        colours,
-        ax=grid.ravel().tolist(),
-        orientation="horizontal",
-        fraction=0.05,
-        shrink=0.6 if len(grid) > 1 else 0.9,
-        aspect=40,
-    )
-    end = colours.norm.vmax
-    for angle in sorted({round(run.locking, 3) for run in runs if run.locking}):
-        if angle > end:
-            continue
-        bar.axvline(angle, color="black", linewidth=2.4)
-        bar.axvline(angle, color="white", linewidth=1.0)
-        above = {"xycoords": "axes fraction", "textcoords": "offset points", "va": "bottom"}
+    place = {"orientation": "horizontal", "fraction": 0.05, "aspect": 40}
+    place |= {"ax": grid.ravel().tolist(), "shrink": 0.6 if len(grid) > 1 else 0.9}
+    bar, end = plot.draw_colour_bar(figure, colours, **place), colours.norm.vmax
+    above = {"xycoords": "axes fraction", "textcoords": "offset points", "va": "bottom"}
+    for angle in {round(run.locking, 3) for run in runs if run.locking and run.locking <= end}:
+        for ink, width in (("black", 2.4), ("white", 1.0)):
+            bar.axvline(angle, color=ink, linewidth=width)
         words = f"locking {angle:.0f}°"
         bar.annotate(words, (angle / end, 1.0), (0, 3), **plot.MIDDLE | above)
 
@@ -274,9 +240,7 @@ def level_lines(
         alone = (above.sum(1) == 1)[:, None] == above
         crossed = above.any(1) & ~above.all(1)
         first = alone[crossed].argmax(1)
-        corners = triangles[crossed][
-            np.arange(len(first))[:, None], (first[:, None] + range(3)) % 3
-        ]
+        corners = np.take_along_axis(triangles[crossed], (first[:, None] + range(3)) % 3, axis=1)
         f = values[corners]
         share = ((level - f[:, :1]) / (f[:, 1:] - f[:, :1]))[:, :, None]
         segments.append((1 - share) * x[corners[:, :1]] + share * x[corners[:, 1:]])
@@ -305,9 +269,7 @@ def _fibres(runs: Sequence[Record], labels: Sequence[str], end: float, notes: li
             lines = level_lines(P, sheet.triangles, s, levels)
             plot.draw_lines(axes, P, sheet.triangles, lines, ink, width)
         plot.draw_lines(axes, P, sheet.triangles, P[plot.rim(sheet)], "0.1", 0.7)
-        plot.frame(axes, room)
-        if not run.in_plane:
-            plot.draw_triad(axes, view, room)
+        plot.frame(axes, room, None if run.in_plane else view)
     handles = [
         Line2D([], [], color=ink, linewidth=width, label=f"{name}, every {pitch:g} mm when flat")
         for name, ink, width in (("warp", WARP, 1.6), ("weft", WEFT, 0.8))
@@ -395,13 +357,8 @@ def _animate(runs: Sequence[Record], labels: Sequence[str], end: float, path: Pa
 
     colours = plot.colour_scale(runs, end)
     views = [plot.view_of(run)[0] for run in runs]  # of the end, for all frames
-    room = np.vstack(
-        [
-            run.sheets[k].points @ view.T
-            for run, view in zip(runs, views, strict=True)
-            for k in (0, -1)
-        ]
-    )
+    seen = zip(runs, views, strict=True)
+    room = np.vstack([run.sheets[k].points @ view.T for run, view in seen for k in (0, -1)])
     figure, grid = _grid(len(runs), room)
     _draw_scale(figure, grid, runs, colours)
     travels = sorted({travel for run in runs for travel in run.sheets.travels})
@@ -442,8 +399,7 @@ def tool_cuts(run: Record) -> tuple[dict[str, tuple[FloatArray, ...]], str]:
         tool = contact.tool
         if tool.motion == "free":  # a holder lies over the sheet, as the die under it
             continue
-        driven = tool.motion == "driven"
-        z, moved = (0.0, run.travel) if driven else (-0.5 * run.travel, 0.0)
+        z, moved = (0.0, run.travel) if tool.motion == "driven" else (-0.5 * run.travel, 0.0)
         points = np.column_stack([plan, np.full(len(plan), z)])
         d = tool.shape.distance(points - [*tool.place, tool.height - moved])[0]
         if d.min() < 0 < d.max():

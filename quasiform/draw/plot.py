@@ -1,9 +1,7 @@
 """Pictures of one run: the shear angle on the formed sheet, the history, and where to trust it.
 
 The formed sheet is projected here (parallel projection) and its triangles are drawn from far to
-near, so that the sheet hides its own far side; lines on it are drawn over them where no triangle is
-nearer. The shade of a triangle follows its normal. Everything is drawn on `Figure` objects of
-matplotlib, nothing through pyplot.
+near; lines on it are drawn over them where no triangle is nearer.
 """
 
 from __future__ import annotations
@@ -68,15 +66,7 @@ LIGHT = np.array([-0.45, 0.55, 0.70])  # direction to the light: right, up, towa
 
 
 def save_pictures(run: Record, folder: str | Path) -> None:
-    """Write `shear_angle.png`, `history.png` and `doubt.png`.
-
-    Parameters
-    ----------
-    run : Record
-        Of any scene, finished or stopped.
-    folder : path
-        Existing folder.
-    """
+    """Write `shear_angle.png`, `history.png` and `doubt.png` into an existing folder."""
     from matplotlib import rc_context
 
     draw = {"shear_angle": sheet_figure, "history": history_figure, "doubt": doubt_figure}
@@ -173,21 +163,15 @@ def _title(run: Record) -> str:
     size, path = run.parameters.get("size"), summary.get("path_size_mm")
     size = size if isinstance(size, Real) else run.sheet.blank.size
     travel, force, unit = _words(run)
-    case = [
-        run.case,
-        str(run.fabric.get("name", "unknown fabric")),
-        f"size {size:.3g} mm" + (f" (path at {path:.3g} mm)" if path else ""),
-        f"{travel} {summary['reached_mm']:.4g}{' mm' if unit == 'N' else ''}",
-    ]
+    case = [run.case, run.fabric_name, f"size {size:.3g} mm"]
+    case[2] += f" (path at {path:.3g} mm)" if path else ""
+    case.append(f"{travel} {summary['reached_mm']:.4g}{' mm' if unit == 'N' else ''}")
     gamma, errors = summary["shear_angle_deg"], summary["error_estimate"]
-    off, off_force = (
-        "" if errors[name] is None else f" ± {errors[name]:.2g}"
-        for name in ("shear_angle_deg", "force_N")
-    )
-    numbers = [f"|γ| max {gamma['max']:.1f}°, p99 {gamma['p99']:.1f}{off}°"]
+    off = {name: "" if e is None else f" ± {e:.2g}" for name, e in errors.items()}
+    numbers = f"|γ| max {gamma['max']:.1f}°, p99 {gamma['p99']:.1f}{off['shear_angle_deg']}°"
     if unit == "N":
-        numbers.append(f"{force} {round(summary['force_N'], 3) + 0.0:.4g}{off_force} N")
-    return "\n".join([" · ".join(case), " · ".join(numbers), textwrap.fill(verdict(run), 100)])
+        numbers += f" · {force} {round(summary['force_N'], 3) + 0.0:.4g}{off['force_N']} N"
+    return "\n".join([" · ".join(case), numbers, textwrap.fill(verdict(run), 100)])
 
 
 def verdict(run: Record) -> str:
@@ -271,8 +255,7 @@ def draw_in_space(
     view, turned_over = view_of(run)
     P = run.sheet.points @ view.T
     paint(axes, run.sheet, P, shear_faces(run.sheet, colours), shaded=True)
-    frame(axes, P if room is None else room)
-    draw_triad(axes, view, P if room is None else room)
+    frame(axes, P if room is None else room, view)
     return turned_over
 
 
@@ -299,7 +282,6 @@ def paint(
     P (n, 3) are the nodes in the view: to the right, up, towards the viewer, mm.
     """
     from matplotlib.collections import PolyCollection
-    from matplotlib.colors import to_rgba
 
     failed, triangles = collapsed(sheet), sheet.triangles
     faces = faces.copy()
@@ -309,18 +291,11 @@ def paint(
     depth[failed] += 2.0 * np.sqrt(2.0 * sheet.flat_areas.max())  # slivers, which shall be seen
     order = np.argsort(depth, kind="stable")
     faces = np.clip(faces, 0.0, 1.0)[order]
-    axes.add_collection(
-        PolyCollection(
-            P[triangles[order], :2],
-            facecolors=faces,
-            edgecolors=faces,
-            linewidths=np.where(failed, 1.5, 0.3)[order],
-            joinstyle="round",
-        )
-    )
+    look = {"facecolors": faces, "edgecolors": faces, "joinstyle": "round"}
+    look["linewidths"] = np.where(failed, 1.5, 0.3)[order]
+    axes.add_collection(PolyCollection(P[triangles[order], :2], **look))
     if fibres:
-        lines = fibre_lines(sheet.blank, max(sheet.blank.size, extent(sheet) / 20))
-        draw_lines(axes, P, triangles, P[lines], to_rgba("black", 0.5), 0.35)
+        draw_lines(axes, P, triangles, P[shown_fibres(sheet)], (0.0, 0.0, 0.0, 0.5), 0.35)
         draw_lines(axes, P, triangles, P[rim(sheet)], "0.1", 0.6)
 
 
@@ -329,18 +304,18 @@ def extent(sheet: FormedSheet) -> float:
     return float(np.ptp(sheet.flat, axis=0).max())
 
 
+def shown_fibres(sheet: FormedSheet) -> np.ndarray:
+    """(n_segments, 2) nodes of some twenty fibre lines of a family."""
+    return fibre_lines(sheet.blank, max(sheet.blank.size, extent(sheet) / 20))
+
+
 def rim(sheet: FormedSheet) -> np.ndarray:
     """(n_segments, 2) nodes of the outlines."""
     return np.vstack([np.column_stack([loop[:-1], loop[1:]]) for loop in sheet.loops])
 
 
 def draw_lines(
-    axes: Axes,
-    P: FloatArray,
-    triangles: np.ndarray,
-    segments: FloatArray,
-    colour: object,
-    width: float,
+    axes: Axes, P: FloatArray, triangles: np.ndarray, lines: FloatArray, colour: Any, width: float
 ) -> None:
     """Draw segments (k, 2, 3) that lie on the sheet, joined, where no triangle hides them.
 
@@ -348,12 +323,11 @@ def draw_lines(
     """
     from matplotlib.collections import LineCollection
 
-    shown = segments[~hidden(P, triangles, segments.mean(1)), :, :2]
+    shown = lines[~hidden(P, triangles, lines.mean(1)), :, :2]
     pieces = shapely.multilinestrings(shapely.linestrings(np.round(shown, 6)))
-    lines = [shapely.get_coordinates(p) for p in shapely.get_parts(shapely.line_merge(pieces))]
-    axes.add_collection(
-        LineCollection(lines, colors=[colour], linewidths=width, joinstyle="round", capstyle="butt")
-    )
+    joined = [shapely.get_coordinates(p) for p in shapely.get_parts(shapely.line_merge(pieces))]
+    look = {"colors": [colour], "linewidths": width, "joinstyle": "round", "capstyle": "butt"}
+    axes.add_collection(LineCollection(joined, **look))
 
 
 def hidden(P: FloatArray, triangles: np.ndarray, points: FloatArray) -> np.ndarray:
@@ -453,12 +427,9 @@ def draw_grips(axes: Axes, sheet: FormedSheet, gripped: np.ndarray) -> list[Floa
 
 def draw_draw_in_arrows(axes: Axes, run: Record) -> None:
     """Number and arrow of the draw-in at the middle of each edge, and where it is largest."""
-    arrows = [
-        (edge.flat, edge.inward, edge.draw_in(run.sheet.points), "")
-        for edge in _edges(run, run.sheet)
-    ]
-    if arrows:
-        arrows += largest_draw_in(run.sheet)
+    points, edges = run.sheet.points, _edges(run, run.sheet)
+    arrows = [(edge.flat, edge.inward, edge.draw_in(points), "") for edge in edges]
+    arrows += largest_draw_in(run.sheet) if arrows else []
     away = 0.055 * extent(run.sheet)
     for flat, inward, draw_in, word in arrows:
         tilt = np.degrees(np.arctan2(inward[0], -inward[1]))
@@ -519,12 +490,14 @@ def formed_places(sheet: FormedSheet, points: FloatArray) -> FloatArray:
     return (sheet.points[corner] + moved)[:, :2]
 
 
-def frame(axes: Axes, points: FloatArray) -> None:
-    """Equal scales, no axes, and a scale bar below the points (n, 2 or more), mm."""
+def frame(axes: Axes, points: FloatArray, view: FloatArray | None = None) -> None:
+    """Equal scales, no axes, and a scale bar below the points (n, 2 or more), mm.
+
+    With a view, also the directions of x, y and z but for what points at the viewer.
+    """
     low, high = points[:, :2].min(0), points[:, :2].max(0)
     extent = (high - low).max()
-    power = 10.0 ** np.floor(np.log10(extent / 3))
-    bar = max(step * power for step in (1, 2, 5) if step * power <= extent / 3)
+    bar = round_number(extent / 3)
     y = low[1] - 0.05 * extent
     axes.plot([high[0] - bar, high[0]], [y, y], color="black", linewidth=1.5, solid_capstyle="butt")
     below = high[0] - bar / 2, y - 0.015 * extent
@@ -533,18 +506,19 @@ def frame(axes: Axes, points: FloatArray) -> None:
     axes.set_ylim(y - 0.06 * extent, high[1] + 0.03 * extent)
     axes.set_aspect("equal")
     axes.axis("off")
+    arm = 0.09 * extent
+    shown = () if view is None else zip("xyz", view.T[:, :2], strict=True)
+    for name, direction in shown:
+        if np.linalg.norm(direction) >= 0.1:
+            origin = low + np.array([arm, 0.0])
+            axes.annotate("", origin + arm * direction, origin, arrowprops=ARROW)
+            axes.text(*(origin + 1.3 * arm * direction), name, **MIDDLE)
 
 
-def draw_triad(axes: Axes, view: FloatArray, P: FloatArray) -> None:
-    """Directions of x, y and z in the lower left corner; what points at the viewer is left out."""
-    low = P[:, :2].min(0)
-    arm = 0.09 * np.ptp(P[:, :2], axis=0).max()
-    origin = low + np.array([arm, 0.0])
-    for name, direction in zip("xyz", view.T[:, :2], strict=True):
-        if np.linalg.norm(direction) < 0.1:
-            continue
-        axes.annotate("", origin + arm * direction, origin, arrowprops=ARROW)
-        axes.text(*(origin + 1.3 * arm * direction), name, **MIDDLE)
+def round_number(most: float) -> float:
+    """Largest of 1, 2, 5 times a power of ten that is not above a length."""
+    power = 10.0 ** np.floor(np.log10(most))
+    return max(step * power for step in (1, 2, 5) if step * power <= most)
 
 
 def draw_force(

@@ -200,6 +200,11 @@ class Record:
         given = self.parameters.get("fabric")
         return given if isinstance(given, dict) else {}
 
+    @property
+    def fabric_name(self) -> str:
+        """Name of the fabric."""
+        return str(self.fabric.get("name", "unknown fabric"))
+
     @cached_property
     def areas(self) -> dict[str, tuple[tuple[float, float], float]]:
         """Centre and radius of the named areas on the flat sheet, mm; none where not known."""
