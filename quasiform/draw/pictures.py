@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FloatArray = np.ndarray
+Runs, Labels = Sequence[Record], Sequence[str]
 ABREAST = 3  # runs in a row of pictures
 TALLEST = 4.6  # inches: width of axes beyond which a sheet is not drawn larger
 INKS = ("#000000", "#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00")
@@ -48,7 +49,7 @@ FILES = (
 
 
 def save(
-    runs: Sequence[Record],
+    runs: Runs,
     folder: str | Path,
     only: Sequence[str] | None = None,
     end: float | None = None,
@@ -86,7 +87,7 @@ def check_animation(kind: str | None) -> None:
         raise InputError("an mp4 needs ffmpeg, which was not found: use gif")
 
 
-def table(runs: Sequence[Record]) -> list[list[str]]:
+def table(runs: Runs) -> list[list[str]]:
     """Key numbers of several runs: a row of headings, then one a run."""
     rows = [{"result": label} | _row(run) for label, run in zip(_labels(runs), runs, strict=True)]
     names = list(dict.fromkeys(name for row in rows for name in row))
@@ -122,7 +123,7 @@ def _known(value: Any) -> bool:
     return isinstance(value, str) or (isinstance(value, int | float) and np.isfinite(value))
 
 
-def _labels(runs: Sequence[Record]) -> list[str]:
+def _labels(runs: Runs) -> list[str]:
     """Names of the folders; of equal ones the paths."""
     names = [run.name for run in runs]
     return [
@@ -131,17 +132,16 @@ def _labels(runs: Sequence[Record]) -> list[str]:
     ]
 
 
-def scale_end(runs: Sequence[Record]) -> float:
+def scale_end(runs: Runs) -> float:
     """End of the colour scale: a round angle that no triangle and no locking angle passes."""
     locking = max(run.locking or 0.0 for run in runs)
     return plot.scale_end([run.sheet for run in runs], least=locking)
 
 
 def _grid(count: int, *frames: FloatArray, below: float = 0.8) -> tuple[Figure, np.ndarray]:
-    """A figure of the text width with axes for each of the frames, one above the other, by run.
+    """A figure of the text width, and by run axes that hold the points (n, 2+) of each frame.
 
-    Frames (n, 2 or more) are points that all runs' axes of a kind hold; below them all there is
-    room, inches.
+    `below` is the room under them all, inches.
     """
     columns = min(count, ABREAST)
     blocks = -(-count // columns)
@@ -161,7 +161,7 @@ def _height(frame: FloatArray, width: float) -> float:
     return min(width, TALLEST) * (up + 0.18 * max(across, up)) / (1.06 * max(across, 0.8 * up))
 
 
-def _common(runs: Sequence[Record]) -> FloatArray:
+def _common(runs: Runs) -> FloatArray:
     """Points of all runs in their views, for panels of one scale."""
     return np.vstack([run.sheet.points @ plot.view_of(run)[0].T for run in runs])
 
@@ -169,8 +169,7 @@ def _common(runs: Sequence[Record]) -> FloatArray:
 def _head(
     axes: Axes, label: str, run: Record, *, force: bool = True, turned_over: bool = False
 ) -> None:
-    words = f"{run.travel_name.removesuffix('_mm').replace('_', ' ')} "
-    words += f"{run.travel:.4g} mm, |γ| max {np.abs(run.sheet.shear_angle).max():.1f}°"
+    words = f"{plot.travel_of(run)}, |γ| max {np.abs(run.sheet.shear_angle).max():.1f}°"
     if force and np.isfinite(run.force):
         words += f"\nforce {round(run.force, 3) + 0.0:.4g} N"
     if turned_over:
@@ -178,9 +177,7 @@ def _head(
     axes.set_title("\n".join(textwrap.wrap(label, 40)) + "\n" + words, parse_math=False)
 
 
-def _shear_angles(
-    runs: Sequence[Record], labels: Sequence[str], end: float, notes: list[str]
-) -> Figure:
+def _shear_angles(runs: Runs, labels: Labels, end: float, notes: list[str]) -> Figure:
     """Formed sheets in space and seen along z, with the line at the locking angle."""
     from matplotlib.collections import LineCollection
 
@@ -205,9 +202,7 @@ def _shear_angles(
     return figure
 
 
-def _draw_scale(
-    figure: Figure, grid: np.ndarray, runs: Sequence[Record], colours: ScalarMappable
-) -> None:
+def _draw_scale(figure: Figure, grid: np.ndarray, runs: Runs, colours: ScalarMappable) -> None:
     """Horizontal scale of colours below all axes, with the locking angles marked."""
     place = {"orientation": "horizontal", "fraction": 0.05, "aspect": 40}
     place |= {"ax": grid.ravel().tolist(), "shrink": 0.6 if len(grid) > 1 else 0.9}
@@ -247,7 +242,7 @@ def level_lines(
     return np.concatenate(segments)
 
 
-def _fibres(runs: Sequence[Record], labels: Sequence[str], end: float, notes: list[str]) -> Figure:
+def _fibres(runs: Runs, labels: Labels, end: float, notes: list[str]) -> Figure:
     """Warp and weft on the formed sheet, at even distances on the flat one, whatever the mesh."""
     from matplotlib.colors import to_rgba
     from matplotlib.lines import Line2D
@@ -288,9 +283,7 @@ def _stroke(number: int) -> dict[str, Any]:
     return {"color": INKS[number % len(INKS)], "linestyle": STROKES[number % len(STROKES)]}
 
 
-def _outlines(
-    runs: Sequence[Record], labels: Sequence[str], end: float, notes: list[str]
-) -> Figure:
+def _outlines(runs: Runs, labels: Labels, end: float, notes: list[str]) -> Figure:
     """Outlines of the formed sheets seen along z, over cuts through the tools of the first."""
     from matplotlib.lines import Line2D
 
@@ -323,7 +316,7 @@ def _outlines(
     return figure
 
 
-def _forces(runs: Sequence[Record], labels: Sequence[str], end: float, notes: list[str]) -> Figure:
+def _forces(runs: Runs, labels: Labels, end: float, notes: list[str]) -> Figure:
     """Force over travel of all runs in one panel."""
     figure, shown = plot.new_figure(3.3), []
     axes = figure.subplots()
@@ -351,7 +344,7 @@ def _forces(runs: Sequence[Record], labels: Sequence[str], end: float, notes: li
     return figure
 
 
-def _animate(runs: Sequence[Record], labels: Sequence[str], end: float, path: Path) -> None:
+def _animate(runs: Runs, labels: Labels, end: float, path: Path) -> None:
     """Write the travel as an animation: every sheet that was written, all on one scale."""
     from matplotlib.animation import FFMpegWriter, PillowWriter
 
@@ -408,7 +401,7 @@ def tool_cuts(run: Record) -> tuple[dict[str, tuple[FloatArray, ...]], str]:
     return cuts, ""
 
 
-PICTURES: dict[str, Callable[[Sequence[Record], Sequence[str], float, list[str]], Figure]] = {
+PICTURES: dict[str, Callable[[Runs, Labels, float, list[str]], Figure]] = {
     "shear_angle": _shear_angles,
     "fibres": _fibres,
     "outline": _outlines,

@@ -193,6 +193,11 @@ def _words(run: Record) -> tuple[str, str, str]:
     return "displacement", "force", "N"
 
 
+def travel_of(run: Record) -> str:
+    """Travel of the last sheet of a run, with its name."""
+    return f"{run.travel_name.removesuffix('_mm').replace('_', ' ')} {run.travel:.4g} mm"
+
+
 def collapsed(sheet: FormedSheet) -> np.ndarray:
     """(n_triangles,) bool array: sheared past 85 degrees, or turned over in the plane."""
     found = sheet.doubts()["collapsed"].copy()
@@ -203,15 +208,19 @@ def collapsed(sheet: FormedSheet) -> np.ndarray:
 
 def colour_scale(runs: Sequence[Record], end: float | None = None) -> ScalarMappable:
     """Colours of |γ| from 0 to an end, degrees, or to that of `scale_end`."""
-    from matplotlib import colormaps
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import LinearSegmentedColormap, Normalize
 
     if end is None:
         end = scale_end([run.sheet for run in runs])
-    # the darkest end is left out: shading and fibre lines would not show on it
-    shades = colormaps[COLOURS](np.linspace(0.02, 0.88, 256))
-    return ScalarMappable(Normalize(0, end), LinearSegmentedColormap.from_list(COLOURS, shades))
+    return ScalarMappable(Normalize(0, end), LinearSegmentedColormap.from_list(COLOURS, shades()))
+
+
+def shades(count: int = 256) -> FloatArray:
+    """(count, 4) colours without the darkest: shading and fibre lines would not show on it."""
+    from matplotlib import colormaps
+
+    return colormaps[COLOURS](np.linspace(0.02, 0.88, count))
 
 
 def scale_end(sheets: Sequence[FormedSheet], least: float = 0.0) -> float:
@@ -386,12 +395,11 @@ def fibre_lines(blank: Blank, pitch: float) -> np.ndarray:
     return np.vstack(kept)
 
 
-def draw_flat_outline(axes: Axes, sheet: FormedSheet, **look: Any) -> list[FloatArray]:
-    """Dashed outlines of the flat sheet; return them, each (m, 2)."""
-    lines = [shapely.LineString(sheet.flat[loop]).simplify(1e-6).coords for loop in sheet.loops]
-    for line in map(np.asarray, lines):
-        axes.plot(*line.T, **{**DASHED, "zorder": 0.5, **look})
-    return [np.asarray(line) for line in lines]
+def draw_flat_outline(axes: Axes, sheet: FormedSheet, **look: Any) -> None:
+    """Dashed outlines of the flat sheet."""
+    for loop in sheet.loops:
+        line = shapely.LineString(sheet.flat[loop]).simplify(1e-6)
+        axes.plot(*shapely.get_coordinates(line).T, **{**DASHED, "zorder": 0.5, **look})
 
 
 def _draw_from_above(axes: Axes, run: Record, colours: ScalarMappable) -> list[Line2D]:
@@ -419,7 +427,7 @@ def draw_grips(axes: Axes, sheet: FormedSheet, gripped: np.ndarray) -> list[Floa
     outward *= 0.04 * extent(sheet) / np.linalg.norm(outward, axis=1)[:, None]
     strips = np.stack([ends[:, 0], ends[:, 1], ends[:, 1] + outward, ends[:, 0] + outward], axis=1)
     grips = shapely.get_parts(shapely.union_all(shapely.polygons(strips), grid_size=1e-6))
-    outlines = [np.asarray(grip.exterior.coords) for grip in grips]
+    outlines = [shapely.get_coordinates(grip) for grip in grips]
     for outline in outlines:
         axes.fill(*outline.T, facecolor="0.93", edgecolor="0.35", hatch="//////", linewidth=0.6)
     return outlines
@@ -591,8 +599,7 @@ def _draw_shear_angles(axes: Axes, run: Record) -> None:
     if other is None or len(other) != len(travel):
         other, label = [percentile(g, area, 0.99) for g, area in found], "99th percentile"
     axes.plot(travel, other, "s-", **CURVE | {"color": SECOND}, label=label)
-    known = off_axis_theory(run)
-    if known:
+    if known := off_axis_theory(run):
         u, angle, _ = known
         axes.plot(u, angle, **THEORY, label="kinematic,\ninextensible fibres")
     axes.set_ylim(0.0, max(1.0, 1.1 * largest.max()))
@@ -602,15 +609,12 @@ def _draw_shear_angles(axes: Axes, run: Record) -> None:
 def _draw_draw_in(axes: Axes, run: Record) -> None:
     """Draw-in over travel: mean of the mid-edges and their range."""
     travel = np.array(run.sheets.travels)
-    draw_in = np.array(
-        [[edge.draw_in(sheet.points) for edge in _edges(run, sheet)] for sheet in run.sheets]
-    )
-    mean = draw_in.mean(1)
+    found = [[edge.draw_in(sheet.points) for edge in _edges(run, sheet)] for sheet in run.sheets]
+    mean, low, high = (np.array(f(found, axis=1)) for f in (np.mean, np.min, np.max))
     axes.plot(travel, mean, "o-", **CURVE, label="mean of the edges")
-    low, high = draw_in.min(1), draw_in.max(1)
     if (high - low).max() > max(0.1, 0.02 * np.abs(mean).max()):
         axes.fill_between(travel, low, high, color=FIRST, alpha=0.2, linewidth=0, label="range")
-    axes.set_ylim(min(0.0, 1.1 * draw_in.min()), max(1.0, 1.1 * draw_in.max()))
+    axes.set_ylim(min(0.0, 1.1 * low.min()), max(1.0, 1.1 * high.max()))
     _finish_panel(axes, run, travel[-1], mean[-1], "draw-in in mm")
 
 
