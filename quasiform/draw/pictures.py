@@ -13,10 +13,18 @@ import textwrap
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import shapely
+from matplotlib import rc_context
+from matplotlib.animation import FFMpegWriter, PillowWriter
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection
+from matplotlib.colors import to_rgba
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from ..checks import InputError, suggestion
 from ..net.blank import rotation
@@ -24,11 +32,6 @@ from ..result.measures import percentile
 from ..result.record import Record
 from ..scenes.forming import forming
 from . import plot
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.figure import Figure
 
 FloatArray = np.ndarray
 Runs, Labels = Sequence[Record], Sequence[str]
@@ -60,8 +63,6 @@ def save(
     `only` names some of `PICTURES`, `end` is that of the colour scale (degrees), and `animate` is
     "gif" or "mp4". Returns what could not be drawn, and why.
     """
-    from matplotlib import rc_context
-
     for name in only or ():
         if name not in PICTURES:
             raise InputError(f"unknown picture '{name}': {suggestion(name, PICTURES)}")
@@ -179,8 +180,6 @@ def _head(
 
 def _shear_angles(runs: Runs, labels: Labels, end: float, notes: list[str]) -> Figure:
     """Formed sheets in space and seen along z, with the line at the locking angle."""
-    from matplotlib.collections import LineCollection
-
     plane = all(run.in_plane for run in runs)
     colours, room = plot.colour_scale(runs, end), _common(runs)
     plan = np.vstack([p for run in runs for p in (run.sheet.points[:, :2], run.sheet.flat)])
@@ -244,9 +243,6 @@ def level_lines(
 
 def _fibres(runs: Runs, labels: Labels, end: float, notes: list[str]) -> Figure:
     """Warp and weft on the formed sheet, at even distances on the flat one, whatever the mesh."""
-    from matplotlib.colors import to_rgba
-    from matplotlib.lines import Line2D
-
     room = _common(runs)
     figure, grid = _grid(len(runs), room, below=0.25)
     pitch = _round(max(plot.extent(run.sheet) for run in runs) / 20)
@@ -285,8 +281,6 @@ def _stroke(number: int) -> dict[str, Any]:
 
 def _outlines(runs: Runs, labels: Labels, end: float, notes: list[str]) -> Figure:
     """Outlines of the formed sheets seen along z, over cuts through the tools of the first."""
-    from matplotlib.lines import Line2D
-
     figure = plot.new_figure(4.9)
     axes = figure.subplots()
     handles = []
@@ -346,8 +340,6 @@ def _forces(runs: Runs, labels: Labels, end: float, notes: list[str]) -> Figure:
 
 def _animate(runs: Runs, labels: Labels, end: float, path: Path) -> None:
     """Write the travel as an animation: every sheet that was written, all on one scale."""
-    from matplotlib.animation import FFMpegWriter, PillowWriter
-
     colours = plot.colour_scale(runs, end)
     views = [plot.view_of(run)[0] for run in runs]  # of the end, for all frames
     seen = zip(runs, views, strict=True)

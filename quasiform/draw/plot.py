@@ -11,22 +11,25 @@ import warnings
 from collections.abc import Sequence
 from numbers import Real
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import shapely
+from matplotlib import colormaps, rc_context
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.colors import LinearSegmentedColormap, Normalize, is_color_like, to_rgba
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.patheffects import Normal, Stroke
 
 from ..net.blank import Blank
 from ..net.edges import edge_points
 from ..result.measures import SLIP_GRADIENT, percentile
 from ..result.record import Record
 from ..result.sheet import FormedSheet
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.figure import Figure
-    from matplotlib.lines import Line2D
 
 FloatArray = np.ndarray
 
@@ -67,8 +70,6 @@ LIGHT = np.array([-0.45, 0.55, 0.70])  # direction to the light: right, up, towa
 
 def save_pictures(run: Record, folder: str | Path) -> None:
     """Write `shear_angle.png`, `history.png` and `doubt.png` into an existing folder."""
-    from matplotlib import rc_context
-
     draw = {"shear_angle": sheet_figure, "history": history_figure, "doubt": doubt_figure}
     with rc_context(STYLE), warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph")  # a name with letters the font lacks
@@ -108,9 +109,6 @@ def sheet_figure(run: Record) -> Figure:
 
 def doubt_figure(run: Record) -> Figure:
     """Where not to trust the shear angle, and why, seen along z."""
-    from matplotlib.colors import to_rgba
-    from matplotlib.patches import Patch
-
     figure = new_figure(4.2)
     axes, key = figure.subplots(1, 2, width_ratios=[1.35, 1])
     sheet, areas = run.sheet, run.sheet.flat_areas
@@ -145,8 +143,6 @@ def history_figure(run: Record) -> Figure:
 
 def new_figure(height: float) -> Figure:
     """Figure of the text width, its height in inches."""
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(WIDTH, height), layout="constrained")
     figure.get_layout_engine().set(w_pad=0.06, h_pad=0.05)
     return figure
@@ -208,9 +204,6 @@ def collapsed(sheet: FormedSheet) -> np.ndarray:
 
 def colour_scale(runs: Sequence[Record], end: float | None = None) -> ScalarMappable:
     """Colours of |γ| from 0 to an end, degrees, or to that of `scale_end`."""
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import LinearSegmentedColormap, Normalize
-
     if end is None:
         end = scale_end([run.sheet for run in runs])
     return ScalarMappable(Normalize(0, end), LinearSegmentedColormap.from_list(COLOURS, shades()))
@@ -218,8 +211,6 @@ def colour_scale(runs: Sequence[Record], end: float | None = None) -> ScalarMapp
 
 def shades(count: int = 256) -> FloatArray:
     """(count, 4) colours without the darkest: shading and fibre lines would not show on it."""
-    from matplotlib import colormaps
-
     return colormaps[COLOURS](np.linspace(0.02, 0.88, count))
 
 
@@ -270,8 +261,6 @@ def draw_in_space(
 
 def shear_faces(sheet: FormedSheet, colours: ScalarMappable) -> FloatArray:
     """(n_triangles, 4) colours of the shear angle, and of what has collapsed."""
-    from matplotlib.colors import to_rgba
-
     faces = colours.to_rgba(np.abs(sheet.shear_angle))
     faces[collapsed(sheet)] = to_rgba(COLLAPSED)
     return faces
@@ -290,8 +279,6 @@ def paint(
 
     P (n, 3) are the nodes in the view: to the right, up, towards the viewer, mm.
     """
-    from matplotlib.collections import PolyCollection
-
     failed, triangles = collapsed(sheet), sheet.triangles
     faces = faces.copy()
     if shaded:
@@ -330,8 +317,6 @@ def draw_lines(
 
     Segments and nodes P (n, 3) are those in the view; the width is in points.
     """
-    from matplotlib.collections import LineCollection
-
     shown = lines[~hidden(P, triangles, lines.mean(1)), :, :2]
     pieces = shapely.multilinestrings(shapely.linestrings(np.round(shown, 6)))
     joined = [shapely.get_coordinates(p) for p in shapely.get_parts(shapely.line_merge(pieces))]
@@ -470,9 +455,6 @@ def largest_draw_in(sheet: FormedSheet) -> list[tuple[FloatArray, FloatArray, fl
 
 def _draw_areas(axes: Axes, run: Record) -> list[Line2D]:
     """Rings around the named areas on the formed sheet, with their mean angle."""
-    from matplotlib.colors import is_color_like
-    from matplotlib.patheffects import Normal, Stroke
-
     turn = np.linspace(0.0, 2.0 * np.pi, 73)
     circle = np.column_stack([np.cos(turn), np.sin(turn)])
     rims = [Stroke(linewidth=w, foreground=c) for w, c in ((2.8, "black"), (2.2, "white"))]

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from matplotlib.colors import to_hex
 
 from ..checks import InputError
 from ..result.record import Record
@@ -157,8 +158,6 @@ def _along(x: FloatArray, off: FloatArray, lines: Sequence[np.ndarray]) -> dict[
 
 
 def _colours() -> list[tuple[float, str]]:
-    from matplotlib.colors import to_hex
-
     return [(k / 32, to_hex(shade)) for k, shade in enumerate(plot.shades(33))]
 
 
