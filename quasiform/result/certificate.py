@@ -132,7 +132,7 @@ def trust(result: Outcome) -> list[str]:
         if (error := result.estimate.get(name)) and error > WIDE * abs(value) > 0
     ]
     areas = result.blank.areas / result.blank.areas.sum()
-    for reason, flag in result.doubts().items():
+    for reason, flag in result.sheet.doubts().items():
         if reason in LIMITED and (share := areas @ flag) >= SHARE:
             words = LIMITED[reason].format(range=result.model.sheet.fabric.shear_range)
             found.append(f"{100 * share:.0f} % of the area is {words}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -133,23 +132,6 @@ class Outcome:
     def sheet(self) -> FormedSheet:
         """Formed sheet at the end."""
         return self.sheet_at()
-
-    def cell_fields(self, state: int = -1) -> Mapping[str, FloatArray]:
-        """Fields by triangle: shear_angle (degrees), warp, weft (unit vectors), E11, E22, S12."""
-        return self.sheet_at(state).cell_fields
-
-    def point_fields(self, state: int = -1) -> Mapping[str, FloatArray]:
-        """Fields by node: displacement (mm) and contact_pressure (MPa, summed over the tools)."""
-        return self.sheet_at(state).point_fields
-
-    def doubts(self, state: int = -1) -> dict[str, np.ndarray]:
-        """Where the shear angle should not be trusted, by reason; bool (n_triangles,) each."""
-        return self.sheet_at(state).doubts()
-
-    def outline(self, state: int = -1) -> list[FloatArray]:
-        """Closed outline of the deformed blank, then those of its holes; (n, 3) points each, mm."""
-        positions = self.positions(state)
-        return [positions[loop] for loop in self.blank.outline]
 
     @property
     def flange_lift(self) -> float:
