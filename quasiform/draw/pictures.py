@@ -113,24 +113,17 @@ def _row(run: Record) -> dict[str, str]:
         numbers["certified"] = "yes" if run.certified else "no", "s"
     numbers["linear_solves"] = summary.get("linear_solves"), "g"
     numbers["wall_s"] = summary.get("wall_s"), ".1f"
-    return {"case": run.case, "fabric": run.fabric_name} | {
-        name: format(value, form) if _known(value) else "-"
-        for name, (value, form) in numbers.items()
-    }
-
-
-def _known(value: Any) -> bool:
-    """Whether a cell of the table has something to show."""
-    return isinstance(value, str) or (isinstance(value, int | float) and np.isfinite(value))
+    row = {"case": run.case, "fabric": run.fabric_name}
+    for name, (value, form) in numbers.items():
+        known = isinstance(value, str) or (isinstance(value, int | float) and np.isfinite(value))
+        row[name] = format(value, form) if known else "-"
+    return row
 
 
 def _labels(runs: Runs) -> list[str]:
     """Names of the folders; of equal ones the paths."""
     names = [run.name for run in runs]
-    return [
-        name if names.count(name) == 1 else str(run.folder)
-        for name, run in zip(names, runs, strict=True)
-    ]
+    return [run.name if names.count(run.name) == 1 else str(run.folder) for run in runs]
 
 
 def scale_end(runs: Runs) -> float:
@@ -245,7 +238,9 @@ def _fibres(runs: Runs, labels: Labels, end: float, notes: list[str]) -> Figure:
     """Warp and weft on the formed sheet, at even distances on the flat one, whatever the mesh."""
     room = _common(runs)
     figure, grid = _grid(len(runs), room, below=0.25)
-    pitch = _round(max(plot.extent(run.sheet) for run in runs) / 20)
+    least = max(plot.extent(run.sheet) for run in runs) / 20
+    power = 10.0 ** np.floor(np.log10(least))
+    pitch = next(step * power for step in (1, 2, 5, 10) if step * power >= least * (1 - 1e-9))
     for axes, label, run in zip(grid[:, 0], labels, runs, strict=True):
         sheet = run.sheet
         view, turned_over = plot.view_of(run)
@@ -267,12 +262,6 @@ def _fibres(runs: Runs, labels: Labels, end: float, notes: list[str]) -> Figure:
     ]
     figure.legend(handles=handles, loc="outside lower center", ncols=2)
     return figure
-
-
-def _round(length: float) -> float:
-    """Next of 1, 2, 5 times a power of ten."""
-    power = 10.0 ** np.floor(np.log10(length))
-    return next(step * power for step in (1, 2, 5, 10) if step * power >= length * (1 - 1e-9))
 
 
 def _stroke(number: int) -> dict[str, Any]:

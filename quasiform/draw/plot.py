@@ -282,7 +282,11 @@ def paint(
     failed, triangles = collapsed(sheet), sheet.triangles
     faces = faces.copy()
     if shaded:
-        faces[:, :3] *= _shade(triangles, P)[:, None]
+        n = node_normals(triangles, P)[triangles].sum(1)
+        n /= np.maximum(np.linalg.norm(n, axis=1), 1e-300)[:, None]
+        n *= np.where(n[:, 2] < 0, -1.0, 1.0)[:, None]  # the side that is seen
+        bright = np.clip(n @ (LIGHT / np.linalg.norm(LIGHT)), 0.0, 1.0)
+        faces[:, :3] *= (0.55 + 0.5 * bright)[:, None]
     depth = P[triangles, 2].mean(1)
     depth[failed] += 2.0 * np.sqrt(2.0 * sheet.flat_areas.max())  # slivers, which shall be seen
     order = np.argsort(depth, kind="stable")
@@ -346,14 +350,6 @@ def node_normals(triangles: np.ndarray, P: FloatArray) -> FloatArray:
     of_triangles = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     np.add.at(normals, triangles, of_triangles[:, None])
     return normals
-
-
-def _shade(triangles: np.ndarray, P: FloatArray) -> FloatArray:
-    """(n_triangles,) factors of the colours, from the normals averaged at the nodes."""
-    n = node_normals(triangles, P)[triangles].sum(1)
-    n /= np.maximum(np.linalg.norm(n, axis=1), 1e-300)[:, None]
-    n *= np.where(n[:, 2] < 0, -1.0, 1.0)[:, None]  # the side that is seen
-    return 0.55 + 0.5 * np.clip(n @ (LIGHT / np.linalg.norm(LIGHT)), 0.0, 1.0)
 
 
 def fibre_lines(blank: Blank, pitch: float) -> np.ndarray:
@@ -487,7 +483,8 @@ def frame(axes: Axes, points: FloatArray, view: FloatArray | None = None) -> Non
     """
     low, high = points[:, :2].min(0), points[:, :2].max(0)
     extent = (high - low).max()
-    bar = round_number(extent / 3)
+    power = 10.0 ** np.floor(np.log10(extent / 3))
+    bar = max(step * power for step in (1, 2, 5) if step * power <= extent / 3)
     y = low[1] - 0.05 * extent
     axes.plot([high[0] - bar, high[0]], [y, y], color="black", linewidth=1.5, solid_capstyle="butt")
     below = high[0] - bar / 2, y - 0.015 * extent
@@ -503,12 +500,6 @@ def frame(axes: Axes, points: FloatArray, view: FloatArray | None = None) -> Non
             origin = low + np.array([arm, 0.0])
             axes.annotate("", origin + arm * direction, origin, arrowprops=ARROW)
             axes.text(*(origin + 1.3 * arm * direction), name, **MIDDLE)
-
-
-def round_number(most: float) -> float:
-    """Largest of 1, 2, 5 times a power of ten that is not above a length."""
-    power = 10.0 ** np.floor(np.log10(most))
-    return max(step * power for step in (1, 2, 5) if step * power <= most)
 
 
 def draw_force(

@@ -67,7 +67,7 @@ def figure(run: Record) -> Figure:
         intensitymode="cell",
         cmin=0,
         cmax=plot.scale_end([sheet]),
-        colorscale=_colours(),
+        colorscale=[(k / 32, to_hex(shade)) for k, shade in enumerate(plot.shades(33))],
         colorbar={"title": {"text": "|γ| in °", "side": "right"}, "thickness": 14, "len": 0.75},
         customdata=np.column_stack([gamma, middle, strains]).astype(np.float32),
         hovertemplate=HOVER,
@@ -157,18 +157,13 @@ def _along(x: FloatArray, off: FloatArray, lines: Sequence[np.ndarray]) -> dict[
     return _points(np.vstack([gap, *points]))
 
 
-def _colours() -> list[tuple[float, str]]:
-    return [(k / 32, to_hex(shade)) for k, shade in enumerate(plot.shades(33))]
-
-
 def _camera(run: Record) -> dict[str, Any]:
     """From slightly above as in `plot.py` (a bowl from below), or straight onto a plane sheet."""
-    if run.in_plane:
-        up, eye, low = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.7]), 0.0
-    else:
+    up, eye, low = [0.0, 1.0, 0.0], np.array([0.0, 0.0, 1.7]), 0.0
+    if not run.in_plane:
         sign = -1.0 if plot.is_bowl(run) else 1.0
         eye = 2.6 * plot.view_from(turned_over=False)[2] * [1.0, 1.0, sign]
-        up, low = np.array([0.0, 0.0, sign]), -0.15 * sign
+        up, low = [0.0, 0.0, sign], -0.15 * sign
     # the near corner is the largest: it is to be seen in a square window too
-    found = {"up": up, "eye": eye, "center": np.array([0.0, 0.0, low])}
-    return {name: dict(zip("xyz", p.tolist(), strict=True)) for name, p in found.items()}
+    found = {"up": up, "eye": eye.tolist(), "center": [0.0, 0.0, low]}
+    return {name: dict(zip("xyz", p, strict=True)) for name, p in found.items()}
