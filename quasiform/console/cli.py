@@ -429,7 +429,12 @@ def export(
 
     path, force = Path(source), output.force
     if deck:
-        _deck(qf.forming(source, *astuple(options)), output)
+        model = qf.forming(source, *astuple(options))
+        file = f"{_case(model.name)}.inp"
+        folder = output.folder(f"{model.name}-deck", (file,))
+        terminal.say(f"writing to {folder}")
+        notes = qf.abaqus_deck(model, folder / file, force=force)
+        terminal.say(*terminal.notes(notes), terminal.files(folder, (file,)))
     elif trim:
         folder = output.folder(f"{path.resolve().name}-pattern", pattern.FILES)
         found = qf.flat_pattern(path, trim, within=within, scale=scale)
@@ -445,14 +450,6 @@ def export(
         terminal.say(f"writing to {folder}")
         terminal.say(*terminal.notes(handed.notices, handed.general, handover.NOTES))
         terminal.say(terminal.files(folder, handed.files))
-
-
-def _deck(model: qf.Model, output: Output) -> None:
-    file = f"{_case(model.name)}.inp"
-    folder = output.folder(f"{model.name}-deck", (file,))
-    terminal.say(f"writing to {folder}")
-    notes = qf.abaqus_deck(model, folder / file, force=output.force)
-    terminal.say(*terminal.notes(notes), terminal.files(folder, (file,)))
 
 
 @app.command

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import shapely
-from matplotlib import colormaps, rc_context
+from matplotlib import colormaps, rc_context, rc_params_from_file
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection, PolyCollection
@@ -35,17 +35,7 @@ FloatArray = np.ndarray
 
 WIDTH = 16 / 2.54  # inches: the text width of a page
 DPI = 200
-STYLE = {
-    **dict.fromkeys(("font.size", "figure.titlesize", "axes.titlesize", "axes.labelsize"), 8),
-    **dict.fromkeys(("xtick.labelsize", "ytick.labelsize", "legend.fontsize"), 7),
-    **dict.fromkeys(("axes.linewidth", "xtick.major.width", "ytick.major.width"), 0.6),
-    **dict.fromkeys(("axes.spines.top", "axes.spines.right", "legend.frameon"), False),
-    "legend.handlelength": 1.6,
-    "legend.handletextpad": 0.6,
-    "lines.linewidth": 1.2,
-    "hatch.linewidth": 0.5,
-    "path.snap": False,  # a line along the pixels would step aside from the next one
-}
+STYLE = rc_params_from_file(Path(__file__).with_name("page.mplstyle"), use_default_template=False)
 COLOURS = "magma_r"  # perceptually uniform; light where unsheared, so that the shading shows
 RING_LEGEND = {"handlelength": 1.0, "columnspacing": 1.0, "title_fontsize": 7, "borderaxespad": 0}
 COLLAPSED = "#00c2d1"
