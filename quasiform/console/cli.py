@@ -546,14 +546,14 @@ def new(
     force: Annotated[bool, about("Replace the file.")] = False,
 ) -> None:
     """Write a commented scene file to start from; it runs as it is."""
+    from ..result.files import writing_to
+
     if file.suffix != ".toml":
         raise InputError(f"{file}: expected the name of a .toml file")
     template = (Path(__file__).parent / "new.toml").read_text(encoding="utf-8")
-    try:
-        text = template.replace("NAME", _case(file.stem))
+    text = template.replace("NAME", _case(file.stem))
+    with writing_to(file):
         Output(force=force).file(file).write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"cannot write to {file}: {error.strerror or error}") from error
     terminal.say(f"file: {file}", f"look at it: quasiform form {file} --dry-run")
 
 

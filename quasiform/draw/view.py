@@ -15,6 +15,7 @@ import numpy as np
 from matplotlib.colors import to_hex
 
 from ..checks import InputError
+from ..result.files import writing_to
 from ..result.record import Record
 from . import plot
 
@@ -135,11 +136,10 @@ def save(run: Record, path: str | Path) -> Path:
     page = Environment(autoescape=True).from_string(PAGE.read_text(encoding="utf-8"))
     parts = {"title": run.case, "words": words(run), "figure": drawn.to_json()}
     text = page.render(**parts, script=get_plotlyjs())
-    try:
-        Path(path).write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"cannot write to {path}: {error.strerror or error}") from error
-    return Path(path)
+    path = Path(path)
+    with writing_to(path):
+        path.write_text(text, encoding="utf-8")
+    return path
 
 
 def _points(x: FloatArray) -> dict[str, FloatArray]:

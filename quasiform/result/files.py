@@ -23,7 +23,7 @@ def check_folder(out: str | Path, *, force: bool = False, names: Sequence[str] =
     With `force` the folder may hold a result already: one of the files `names`.
     """
     folder = Path(out)
-    with _writing_to(folder):
+    with writing_to(folder):
         if folder.exists() and not folder.is_dir():
             raise InputError(f"cannot write to {folder}: it is not a folder")
         found = _existing(folder, names)
@@ -46,7 +46,7 @@ def replaced(
     An old result stays complete until the new one is. Refuses what `check_folder` does.
     """
     folder = check_folder(out, force=force, names=names)
-    with _writing_to(folder), added(folder, instead=names) as staging:
+    with writing_to(folder), added(folder, instead=names) as staging:
         yield staging
 
 
@@ -89,8 +89,9 @@ def _made(folder: Path) -> Iterator[None]:
 
 
 @contextmanager
-def _writing_to(folder: Path) -> Iterator[None]:
+def writing_to(path: Path) -> Iterator[None]:
+    """Report what fails while a file or folder is written as one line that names it."""
     try:
         yield
     except OSError as error:
-        raise InputError(f"cannot write to {folder}: {error.strerror or error}") from error
+        raise InputError(f"cannot write to {path}: {error.strerror or error}") from error

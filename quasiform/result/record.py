@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..checks import InputError
+from ..checks import InputError, naming
 from ..scenes import scene_file
 from .sheet import FormedSheet, read_sheets
 
@@ -259,20 +259,19 @@ class Record:
 
 def _read_summary(path: Path) -> dict[str, Any]:
     """Contents of a `summary.json`, in today's format."""
-    try:
-        summary = json.loads(path.read_text(encoding="utf-8"))
-        kinds = {"reached_mm": int | float, "parameters": dict, "error_estimate": dict}
-        if not all(isinstance(summary.get(key), kind) for key, kind in kinds.items()):
-            raise ValueError(f"expected {', '.join(kinds)}")
-    except FileNotFoundError as error:
-        raise InputError(f"{path.parent}: no result: it has no summary.json") from error
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from error
-    except (ValueError, AttributeError) as error:  # no JSON, or no table
-        raise InputError(f"{path}: not the summary of a run: {error}") from error
-    given = summary.get("format", 1)
-    if given not in (1, FORMAT):
-        raise InputError(f"{path}: of format {given}; this version reads formats 1 and {FORMAT}")
+    if not path.exists():
+        raise InputError(f"{path.parent}: no result: it has no summary.json")
+    kinds = {"reached_mm": int | float, "parameters": dict, "error_estimate": dict}
+    with naming(path):
+        try:
+            summary = json.loads(path.read_text(encoding="utf-8"))
+            if not all(isinstance(summary.get(key), kind) for key, kind in kinds.items()):
+                raise ValueError(f"expected {', '.join(kinds)}")
+        except (ValueError, AttributeError) as error:  # no JSON, or no table
+            raise InputError(f"not the summary of a run: {error}") from error
+        given = summary.get("format", 1)
+        if given not in (1, FORMAT):
+            raise InputError(f"of format {given}; this version reads formats 1 and {FORMAT}")
     return summary if given == FORMAT else _of_first_format(summary)
 
 
@@ -294,14 +293,13 @@ def _read_history(path: Path) -> dict[str, FloatArray]:
     """Columns of a `history.csv` by heading; none without the file."""
     if not path.exists():
         return {}
-    try:
-        heading = path.read_text(encoding="utf-8").splitlines()[0].split(",")
-        columns = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2)
-        return dict(zip(heading, columns.T, strict=True))
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from error
-    except (ValueError, IndexError) as error:
-        raise InputError(f"{path}: not a history of this program: {error}") from error
+    with naming(path):
+        try:
+            heading = path.read_text(encoding="utf-8").splitlines()[0].split(",")
+            columns = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2)
+            return dict(zip(heading, columns.T, strict=True))
+        except (ValueError, IndexError) as error:
+            raise InputError(f"not a history of this program: {error}") from error
 
 
 def sheet_files(folder: Path) -> list[tuple[float | None, Path]]:
@@ -330,15 +328,13 @@ def series(path: Path) -> list[tuple[float, Path]]:
 
 def _own_sheet(path: Path, travel: float) -> FormedSheet:
     """Sheet in a file of this program."""
-    sheet = read_sheets(path)[-1]
-    for where, names in NEEDED.items():
-        for name in names:
-            if name not in getattr(sheet, where):
-                raise InputError(f"{path}: no field '{name}': not a result of this program")
-    try:
+    with naming(path):
+        sheet = read_sheets(path)[-1]
+        for where, names in NEEDED.items():
+            for name in names:
+                if name not in getattr(sheet, where):
+                    raise InputError(f"no field '{name}': not a result of this program")
         return replace(sheet.with_flat(), travel=travel)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
 
 
 def _write_table(path: Path, heading: Iterable[str], rows: FloatArray, form: str) -> None:

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..checks import InputError, check_file
+from ..checks import InputError, check_file, naming
 from ..net.blank import Blank
 
 if TYPE_CHECKING:
@@ -296,22 +296,20 @@ def read_sheets(path: str | Path) -> list[FormedSheet]:
 
 def readable(path: Path, read: Callable[[], Any]) -> Any:
     """Call a reader of a mesh file; what its parser meets becomes an InputError naming the file."""
-    kind = path.suffix.lower()
-    try:
-        check_file(path)
-        with redirect_stdout(StringIO()), redirect_stderr(StringIO()), warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+    log = StringIO()
+    with naming(path), redirect_stdout(log), redirect_stderr(log), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            check_file(path)
             return read()
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from error
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
-    except ImportError as error:
-        missing = "its numbers are in HDF5, which needs h5py: pip install h5py"
-        raise InputError(f"{path}: {missing}") from error
-    except (Exception, SystemExit) as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"{path}: not a readable {kind} file: {reason}") from error
+        except (OSError, InputError):
+            raise
+        except ImportError as error:
+            missing = "its numbers are in HDF5, which needs h5py: pip install h5py"
+            raise InputError(missing) from error
+        except (Exception, SystemExit) as error:
+            reason = " ".join(str(error).split()) or type(error).__name__
+            raise InputError(f"not a readable {path.suffix.lower()} file: {reason}") from error
 
 
 def _from_meshio(mesh: meshio.Mesh, travel: float | None) -> FormedSheet:
