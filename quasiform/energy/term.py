@@ -56,24 +56,31 @@ class Term:
         return self.dofs
 
     def energy(self, x: FloatArray, state: Any) -> FloatArray:
+        """(n_stencils,) energies, mJ, at x (n_dofs,) with a state."""
         raise NotImplementedError
 
     def gradient(self, x: FloatArray, state: Any) -> FloatArray:
+        """(n_stencils, n_local) derivatives by the unknowns of each stencil, N."""
         raise NotImplementedError
 
     def hessian(self, x: FloatArray, state: Any, convex: bool) -> FloatArray:
+        """(n_stencils, n_local, n_local) second derivatives, N/mm; `convex`: semi-definite."""
         raise NotImplementedError
 
     def initial(self, x: FloatArray) -> Any:
+        """State at the start of a run, at x (n_dofs,): a frozen dataclass of arrays, or None."""
         return None
 
     def refresh(self, x: FloatArray, state: Any) -> Any:
+        """State with lagged values taken from x, between two solves of Newton's method."""
         return state
 
     def commit(self, x: FloatArray, state: Any) -> Any:
+        """State after a converged increment that ends at x."""
         return state
 
     def dissipated(self, before: Any, after: Any, x: FloatArray) -> float:
+        """Energy lost between two committed states, the last one at x, mJ."""
         return 0.0
 
     def carried(self, state: Any, old: Standing | None, new: Standing) -> Any:
