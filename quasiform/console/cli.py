@@ -12,7 +12,7 @@ import re
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
-from dataclasses import asdict, astuple, dataclass
+from dataclasses import asdict, astuple, dataclass, replace
 from importlib import import_module
 from importlib.util import module_from_spec, spec_from_file_location
 from itertools import count
@@ -638,7 +638,7 @@ def _run(model: qf.Model, journal: qf.Journal) -> int:
         try:
             qf.spread(result, range(1, options["seeds"] + 1))
         except KeyboardInterrupt:
-            result.reason = "interrupted while perturbed starts were solved"
+            result = replace(result, reason="interrupted while perturbed starts were solved")
         journal.close(result)
     terminal.say(terminal.report(result, perf_counter() - clock))
     if (folder / RESUME).exists():

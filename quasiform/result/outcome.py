@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -58,11 +59,10 @@ class Outcome:
 
     def add_work(self, other: Outcome, failed: int = 0) -> None:
         """Add the factorisations of another run, and of a failed try on this mesh."""
-        own = f"{self.model.size:g} mm"
-        counts = self.factorisations | {own: self.factorisations.get(own, 0) + failed}
-        for mesh, count in other.factorisations.items():
-            counts[mesh] = counts.get(mesh, 0) + count
-        self.factorisations = counts
+        counts = Counter(self.factorisations)
+        counts.update({f"{self.model.size:g} mm": failed})
+        counts.update(other.factorisations)
+        self.factorisations = dict(counts)
 
     @property
     def status(self) -> str:

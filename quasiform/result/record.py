@@ -11,7 +11,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,8 +34,7 @@ class Sheets(Sequence[FormedSheet]):
 
     def __init__(self, travels: Sequence[float], load: Callable[[int], FormedSheet]) -> None:
         self.travels = tuple(travels)
-        self._load = load
-        self._known: dict[int, FormedSheet] = {}
+        self._load = lru_cache(maxsize=2)(load)  # more would fill the memory
 
     def __len__(self) -> int:
         return len(self.travels)
@@ -44,10 +43,7 @@ class Sheets(Sequence[FormedSheet]):
         numbers = range(len(self))[at]
         if isinstance(numbers, range):
             return Sheets([self.travels[k] for k in numbers], lambda k: self[numbers[k]])
-        if numbers not in self._known:
-            last = {k: sheet for k, sheet in self._known.items() if k == len(self) - 1}
-            self._known = {**last, numbers: self._load(numbers)}  # others would fill the memory
-        return self._known[numbers]
+        return self._load(numbers)
 
 
 @dataclass(frozen=True, eq=False)
