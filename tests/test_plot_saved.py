@@ -43,7 +43,7 @@ def test_what_was_saved_is_read_back(pair):
         sheet = run.sheets[k]
         assert_allclose(sheet.points, result.positions(k), atol=1e-9)
         assert_allclose(sheet.shear_angle, result.shear_angles(k), atol=1e-9)
-        for reason, flag in result.doubts(k).items():
+        for reason, flag in result.sheet_at(k).doubts().items():
             assert (sheet.doubts()[reason] == flag).all()
         assert run.upto(k).force == pytest.approx(result.states[k].force, abs=1e-4)
     for family in ("warp", "weft"):

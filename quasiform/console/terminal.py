@@ -209,12 +209,8 @@ def identified(found: Identification) -> str:
         lines.append(f"  first stage to {first:.1f} degrees, third from {third:.1f} degrees")
     read = {notice for test in found.campaign.shear for notice in test.curve.notices}
     lines += [f"  note: {notice}" for notice in found.notices if notice not in read]
-    rows = [
-        (p.name, number(p.value, 5), p.unit, _interval(p.low, p.high), p.state)
-        for p in found.parameters
-    ]
+    rows = []
+    for p in found.parameters:
+        interval = f"{number(p.low)} to {number(p.high)}" if p.low == p.low else "-"
+        rows.append((p.name, number(p.value, 5), p.unit, interval, p.state))
     return "\n".join(["identified, with 95 % intervals", table(rows, 2), *lines])
-
-
-def _interval(low: float, high: float) -> str:
-    return f"{number(low)} to {number(high)}" if low == low else "-"

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from .measures import nodal
 from .outcome import Outcome
 
 FloatArray = np.ndarray
@@ -33,7 +34,7 @@ def judged(result: Outcome, coarser: Sequence[Outcome]) -> Outcome:
         if all(name in v for v in values)
     }
     blank = result.blank
-    fields = [result.nodal_shear_angle]
+    fields = [nodal(blank, result.shear_angle)]
     fields += [level.shear_angle_at(blank.nodes) for level in levels[1:]]
     error = discretisation_error(fields)[blank.triangles].mean(1)
     return replace(result, estimate=estimate, shear_angle_error=error)
@@ -62,14 +63,7 @@ def discretisation_error(values: Sequence[FloatArray | float]) -> FloatArray | f
     difference before is used. Two levels alone have no ratio: the error is twice their
     difference.
 
-    Parameters
-    ----------
-    values : sequence of float or (n,) arrays
-        At least two.
-
-    Returns
-    -------
-    float or (n,) array
+    `values` holds at least two numbers or (n,) arrays.
 
     References
     ----------
