@@ -24,42 +24,79 @@ MOST_TILT = 10.0  # degrees
 class Model:
     """What is solved: built by `forming` and the other ready scenes, or by hand.
 
-    The travel and what is measured by it are mm for a punch or a grip, and 1 for a load factor.
     Append terms of your own to `terms`, or best through `including`.
+
+    Parameters
+    ----------
+    name : str
+        Of the case, and of its folder.
+    unknowns : Unknowns
+        The table of x.
+    sheets : list of Sheet
+    terms : list of Term
+        The energies.
+    x0, fixed : (n_dofs,) arrays, the second bool
+        Start, mm, and which unknowns are prescribed.
+    drive : (n_dofs,) array, or a function of the travel
+        Their motion per unit of travel; or a function that returns their positions and the rate.
+    travel, increment, rows : float
+        Where to end, the largest increment that the program chooses, and of what the travel of a
+        history row is a multiple, mm (or load factor).
+    travel_name : str
+        Column of the travel in the history.
+    share : float
+        Modelled share of the whole (1/4 with two mirror planes), by which forces are divided.
+    resting : float
+        Load that keeps the model together (holder weight of the modelled share), N: residuals are
+        relative to 2 % of it while the driving force is smaller.
+    dead_load : float
+        Whole load, N, to which residuals are relative where the travel is its factor.
+    description : list of (entry, reason)
+        What is modelled and what was left out.
+    parameters : dict
+        The user's input, as written into `summary.json`.
+    measures : dict of name to a function of x
+        Columns of the history.
+    areas : dict of name to (centre, radius)
+        Discs of the flat blank with their mean shear angle, mm, in the user's axes.
+    edges : dict of direction to EdgePoint
+        Where the draw-in is measured, on the whole sheet in the user's axes.
+    coarsest : float
+        Largest size at which the path is worth following, mm.
+    outputs : dict of str to bool
+        Whether `pictures` and `increments` are written by default.
+    tools : optional
+        Those of the whole sheet, for the same model on another mesh.
+    recipe : Recipe, optional
+        From which the same model is built at any size.
+    built : str
+        Fingerprint when it was built.
     """
 
-    name: str  # of the case, and of its folder
-    unknowns: Unknowns  # the table of x
+    name: str
+    unknowns: Unknowns
     sheets: list[Sheet]
     terms: list[Term]
-    x0: FloatArray  # (n_dofs,) start
-    fixed: np.ndarray  # (n_dofs,) bool: which unknowns are prescribed
-    # (n_dofs,) their motion per unit of travel; or a function of the travel that returns their
-    # positions (n_dofs,) and the rate of these (n_dofs,)
+    x0: FloatArray
+    fixed: np.ndarray
     drive: FloatArray | Callable[[float], tuple[FloatArray, FloatArray]]
-    travel: float  # where to end
-    increment: float  # of the travel, the largest when the program chooses
-    rows: float  # rows of the history fall on multiples of this travel
-    travel_name: str = "displacement_mm"  # column of the history
-    share: float = 1.0  # modelled share of the whole (1/4 with two mirror planes) in all forces
-    # load that keeps the model together (holder weight of the modelled share), N: residuals are
-    # relative to 2 % of it while the driving force is smaller
+    travel: float
+    increment: float
+    rows: float
+    travel_name: str = "displacement_mm"
+    share: float = 1.0
     resting: float = 0.0
-    dead_load: float = 0.0  # N, to which residuals are relative where the travel is a load factor
-    description: list[tuple[str, str]] = field(default_factory=list)  # (what is modelled, why)
-    parameters: dict[str, Any] = field(default_factory=dict)  # the user's, for `summary.json`
-    # columns of the history: name and function of x
+    dead_load: float = 0.0
+    description: list[tuple[str, str]] = field(default_factory=list)
+    parameters: dict[str, Any] = field(default_factory=dict)
     measures: dict[str, Callable[[FloatArray], float]] = field(default_factory=dict)
-    # discs (centre, radius) of the flat blank in the user's axes, mm, with their mean shear angle
     areas: dict[str, tuple[tuple[float, float], float]] = field(default_factory=dict)
-    # where the draw-in is measured by direction, on the whole sheet in the user's axes
     edges: dict[str, EdgePoint] = field(default_factory=dict)
-    coarsest: float = 0.0  # mm, largest size at which the path is worth following
-    # which files are written by default
+    coarsest: float = 0.0
     outputs: dict[str, bool] = field(default_factory=lambda: {"pictures": True, "increments": True})
-    tools: Any = None  # of the whole sheet, for the same model on another mesh
-    recipe: Any = None  # a `Recipe`, from which the same model is built at any size
-    built: str = ""  # fingerprint when it was built from its recipe
+    tools: Any = None
+    recipe: Any = None
+    built: str = ""
 
     def __repr__(self) -> str:
         terms = ", ".join(term.name for term in self.terms)
@@ -82,6 +119,7 @@ class Model:
 
     @property
     def membranes(self) -> list[Membrane]:
+        """The membrane terms, one a sheet."""
         return [term for term in self.terms if isinstance(term, Membrane)]
 
     @property
@@ -91,17 +129,16 @@ class Model:
 
     @property
     def contacts(self) -> list[Contact]:
+        """The contact terms."""
         return [term for term in self.terms if isinstance(term, Contact)]
 
     @property
     def frictions(self) -> list[Friction]:
+        """The friction terms."""
         return [term for term in self.terms if isinstance(term, Friction)]
 
     def add(self, name: str, components: int, sheet: Sheet | None = None, **given: Any) -> Field:
-        """Append a field of unknowns, free and zero at the start; see `Unknowns.add`.
-
-        It has so many components at each node of `sheet`, or in all without one.
-        """
+        """Append a field, free and zero at the start, at the nodes of a sheet or without places."""
         if sheet is not None:
             given |= {"places": sheet.blank.nodes, "areas": sheet.blank.node_areas}
         added = self.unknowns.add(name, components, **given)
@@ -114,12 +151,7 @@ class Model:
         return added
 
     def including(self, change: Callable[[Model], None]) -> Model:
-        """Return the model built anew with a change that is part of its recipe.
-
-        Every mesh of a refined run, the error estimate and every worker then has it. `change` is
-        called with the model: it may append terms, fields, areas and measures, and set supports.
-        Defined in a module, it can also be sent to another process.
-        """
+        """Return the model built anew with a change, a function of it, on every mesh."""
         if self.recipe is None:
             raise ValueError("this model has no recipe: change it itself")
         return self.recipe.including(change).build(self.size, like=self)
@@ -136,10 +168,7 @@ class Model:
         return self.x0 + travel * self.drive, self.drive
 
     def collapsed(self, x: FloatArray, travel: float) -> dict[str, Any] | None:
-        """Where triangles are sheared beyond 85 degrees or turned over at this travel, or None.
-
-        `travel_mm`, `at` (flat position, mm), `shear_angle_deg` and `triangles` (their number).
-        """
+        """Where triangles are sheared beyond 85 degrees or turned over at a travel, mm, or None."""
         for membrane in self.membranes:
             sheet, gamma = membrane.sheet, np.abs(membrane.shear_angle(x))
             bad = gamma > COLLAPSE

@@ -26,12 +26,24 @@ Change = Callable[[Model], None]
 
 @dataclass(frozen=True)
 class Recipe:
-    """What a model is built from."""
+    """What a model is built from.
 
-    builder: Builder  # takes `size`, `like` (a model of this recipe with tools to use again), ...
-    given: tuple[tuple[str, Any], ...]  # ... and what is given by name, which `plain` can write
-    size: float  # that was asked for, mm
-    changes: tuple[Change, ...] = ()  # called one after the other with the model
+    Parameters
+    ----------
+    builder : callable
+        Takes `size`, `like` (a model of this recipe, with tools to use again) and what is given.
+    given : tuple of (name, value)
+        Numbers, text, None, and what `plain` can write.
+    size : float
+        That was asked for, mm.
+    changes : tuple of callables
+        Called one after the other with the model.
+    """
+
+    builder: Builder
+    given: tuple[tuple[str, Any], ...]
+    size: float
+    changes: tuple[Change, ...] = ()
 
     def build(self, size: float | None = None, like: Model | None = None) -> Model:
         """Build the model at its size or another, mm; the tools of a model `like` it are used."""
@@ -44,13 +56,11 @@ class Recipe:
         return model
 
     def including(self, change: Change) -> Recipe:
+        """Return the recipe with one more change."""
         return replace(self, changes=(*self.changes, change))
 
     def written(self) -> dict[str, Any]:
-        """Return the recipe as plain numbers and text, for JSON.
-
-        Raises InputError if a change cannot be found by its name in another process.
-        """
+        """Return it in numbers and text; InputError if another process cannot find a change."""
         given = {name: plain(value) for name, value in self.given}
         changes = [reference(change) for change in self.changes]
         builder = reference(self.builder)
@@ -58,10 +68,7 @@ class Recipe:
 
     @staticmethod
     def read(written: Mapping[str, Any]) -> Recipe:
-        """Return the recipe that was written down.
-
-        Raises InputError if it is not one, or a change is not there any more.
-        """
+        """Return the recipe that was written down; InputError if it is none or lacks a part."""
         try:
             given = tuple((name, _live(value)) for name, value in written["given"].items())
             changes = tuple(_found(name) for name in written["changes"])

@@ -12,7 +12,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
-from quasiform.energy.bending import Bending
+from quasiform.energy.bending import Bending, PatchBending
 from quasiform.energy.contact import (
     BLEND,
     FAR_OFF,
@@ -26,9 +26,7 @@ from quasiform.energy.contact import (
 )
 from quasiform.energy.friction import STICK, Friction
 from quasiform.energy.gripper import Grip
-from quasiform.energy.membrane import Membrane
-from quasiform.energy.paired_membrane import PairedMembrane
-from quasiform.energy.patch_bending import PatchBending
+from quasiform.energy.membrane import Membrane, PairedMembrane
 from quasiform.energy.term import Term
 from quasiform.energy.weight import GRAVITY, SheetWeight, ToolWeight
 from quasiform.fabric import Fabric, ThreeStageLaw

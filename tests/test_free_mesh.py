@@ -8,9 +8,8 @@ from numpy.testing import assert_allclose
 
 import quasiform as qf
 from quasiform.checks import InputError
-from quasiform.energy.membrane import Membrane
-from quasiform.energy.paired_membrane import PairedMembrane, membrane_of
-from quasiform.energy.patch_bending import PatchBending
+from quasiform.energy.bending import PatchBending
+from quasiform.energy.membrane import Membrane, PairedMembrane, membrane_of
 from quasiform.net.blank import rectangle
 from quasiform.net.free_mesh import aligned_share, outline_of, own_mesh, triangulate
 from quasiform.theory import OffAxisTension

@@ -39,8 +39,7 @@ class Grip(Term):
         return 0.5 * self.stiffness * u**2 - self.tension * u
 
     def gradient(self, x: FloatArray, state: None = None) -> FloatArray:
-        pull = self.stiffness * self._motion(x) - self.tension
-        return pull[:, None] * self.direction
+        return (self.stiffness * self._motion(x) - self.tension)[:, None] * self.direction
 
     def hessian(self, x: FloatArray, state: None, convex: bool) -> FloatArray:
         return self.stiffness[:, None, None] * np.outer(self.direction, self.direction)

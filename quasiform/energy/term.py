@@ -79,10 +79,7 @@ class Term:
         return 0.0
 
     def carried(self, state: Any, old: Standing | None, new: Standing) -> Any:
-        """Carry a state to another mesh: its arrays, one row a stencil, are interpolated.
-
-        `old` is this term on the other mesh (None where it is not there), and `new` here.
-        """
+        """Carry a state to another mesh: arrays with one row a stencil are interpolated."""
         if state is None or old is None:
             return self.initial(new.x)
         values = {f.name: getattr(state, f.name) for f in fields(state)}

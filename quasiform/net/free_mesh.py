@@ -1,6 +1,6 @@
 """Blanks on meshes that do not follow the fibres: the user's own, or a free triangulation.
 
-Such meshes get `pairs` of triangles that share their fibre strains (`energy.paired_membrane`): the
+Such meshes get `pairs` of triangles that share their fibre strains (`energy.membrane`): the
 quadrilaterals of the mesh, and for triangles the pairing with the best quadrilaterals.
 """
 

@@ -14,8 +14,7 @@ import shapely
 
 from ..checks import InputError, check_number
 from ..energy.bending import Bending
-from ..energy.membrane import Membrane
-from ..energy.paired_membrane import membrane_of
+from ..energy.membrane import Membrane, membrane_of
 from ..energy.weight import SheetWeight
 from ..fabric import Fabric, fabric_of
 from ..model import Model
@@ -52,6 +51,10 @@ def off_axis_tension(
     mesh : "fibre", "free" or a path
         Cut from the fibre lines; a free triangulation of as many triangles; or the user's own mesh
         of the specimen, centred at the origin. The last two do not follow the fibres.
+
+    Returns
+    -------
+    Model
 
     Raises
     ------
@@ -193,6 +196,10 @@ def picture_frame(
     size : float
         Spacing of the fibre lines, mm.
 
+    Returns
+    -------
+    Model
+
     Raises
     ------
     InputError
@@ -258,6 +265,10 @@ def cantilever(
         Spacing of the fibre lines, mm.
     family : "warp" or "weft"
         Fibres along the strip.
+
+    Returns
+    -------
+    Model
 
     Raises
     ------

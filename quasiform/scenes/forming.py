@@ -17,11 +17,10 @@ import numpy as np
 import shapely
 
 from ..checks import InputError, check_number
-from ..energy.bending import Bending
+from ..energy.bending import Bending, PatchBending
 from ..energy.contact import Contact, at_edges, at_nodes, surrounds
 from ..energy.friction import Friction
-from ..energy.paired_membrane import membrane_of
-from ..energy.patch_bending import PatchBending
+from ..energy.membrane import membrane_of
 from ..energy.term import Term
 from ..energy.weight import GRAVITY, SheetWeight, ToolWeight
 from ..fabric import Fabric, fabric_of
@@ -68,6 +67,10 @@ def forming(
         Travel of the punch from first touch, mm; at most the file's own.
     symmetry : "auto", "half" or "none", optional
         Whether mirror planes of blank, fibres and tools are used: all, at most one, or none.
+
+    Returns
+    -------
+    Model
 
     Raises
     ------

@@ -36,20 +36,34 @@ Callback = Callable[["Progress"], bool | str | None]
 
 @dataclass(frozen=True)
 class Progress:
-    """What a callback is called with after each increment."""
+    """What a callback is called with after each increment.
 
-    travel: float  # where the run is, mm (or the load factor)
-    goal: float  # where it ends
-    residual: float  # sum of the nodal residuals relative to the driving force
-    force: float  # driving force of the whole, N
-    contacts: int  # points of the sheet that touch a tool
-    linear_solves: int  # so far
-    elapsed: float  # s
-    measures: dict[str, float] = field(default_factory=dict)  # columns of the history by name
+    Parameters
+    ----------
+    travel, goal : float
+        Where the run is and where it ends, mm (or the load factor).
+    residual, force : float
+        Sum of the nodal residuals relative to the driving force; that of the whole, N.
+    contacts, linear_solves : int
+        Points of the sheet that touch a tool; factorisations so far.
+    elapsed : float
+        s.
+    measures : dict of str to float
+        What the history holds by increment, such as `shear_angle_max_deg`.
+    """
+
+    travel: float
+    goal: float
+    residual: float
+    force: float
+    contacts: int
+    linear_solves: int
+    elapsed: float
+    measures: dict[str, float] = field(default_factory=dict)
 
 
 def report(callback: Callback | None, stage: str) -> None:
-    """Report what follows the travel to a callback that has a method `stage` for it."""
+    """Report what follows the travel to a callback that has a method `stage`."""
     if hasattr(callback, "stage"):
         callback.stage(stage)
 

@@ -114,10 +114,7 @@ class Journal:
             return Recipe.read(self.recorded["recipe"]).build()
 
     def record(self, run: Run, step: float, elapsed: float) -> str:
-        """Write the run as it stands after an increment; `step` is the size of the next, mm.
-
-        The reason why the folder cannot be written, if so; what was there stays.
-        """
+        """Write a run, with the size of its next increment, mm; the reason why it cannot be."""
         try:
             with added(self.folder, instead=() if self._rows else FILES) as staging:
                 (staging / RESUME).write_bytes(self._checkpoint(run, step, elapsed))
@@ -157,11 +154,7 @@ class Journal:
         return stream.getvalue()
 
     def restore(self, run: Run) -> tuple[float, float]:
-        """Put a run of the same model, at its start, where the recorded one was.
-
-        The size of its next increment, mm, and the time that it took, s. Raises InputError if the
-        model or the settings are others, or the record is damaged.
-        """
+        """Put a run of the same model where the recorded one was; its next step, mm; time, s."""
         recorded, model = self.recorded, run.model
         other = InputError(
             f"{self.folder}: the run there is of another input: scene, material or program have "
@@ -203,10 +196,7 @@ class Journal:
         return recorded["step"], recorded["elapsed"]
 
     def close(self, result: Result) -> None:
-        """Write the result; a completed run cannot be continued.
-
-        Where it cannot be written, this becomes the `reason` of the result.
-        """
+        """Write the result; where that cannot be done, this becomes its `reason`."""
         try:
             with added(self.folder) as staging:
                 result.write(staging)

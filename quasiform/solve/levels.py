@@ -55,8 +55,8 @@ def refine(
     accuracy : float, optional
         Halve the size until the estimated error of the 99th percentile of the shear angle is
         below it, degrees.
-    callback, increment, linear, tolerance, out, resume
-        As in `solve`; the path is called back and recorded increment by increment.
+    callback, increment, linear, tolerance, out, resume : optional
+        As in `solve`, relative tolerance and increment in mm; the path is called back and recorded.
 
     Returns
     -------
@@ -97,7 +97,12 @@ def _refined(
     journal: Journal | None,
 ) -> Result:
     """Level by level, with the estimate."""
-    models = _coarser(model)
+    models = [model]
+    while 2 * models[0].size <= model.coarsest * (1 + 1e-9):  # worth following the path there
+        try:
+            models.insert(0, model.recipe.build(2 * models[0].size, like=model))
+        except InputError:  # too coarse for the blank
+            break
     if journal and len(models) > 1:
         journal.goal = f" on a mesh of {models[0].size:g} mm, the way to one of {model.size:g} mm"
     path = follow(models[0], settings, callback, journal)
@@ -126,17 +131,6 @@ def _refined(
     if len(levels) == 1 and not result.reason:
         judge(result, settings, callback, 2 * model.size)
     return result
-
-
-def _coarser(model: Model) -> list[Model]:
-    """The model on coarser meshes, the coarsest on which the path is worth following first."""
-    models = [model]
-    while 2 * models[0].size <= model.coarsest * (1 + 1e-9):
-        try:
-            models.insert(0, model.recipe.build(2 * models[0].size, like=model))
-        except InputError:  # too coarse for the blank
-            break
-    return models
 
 
 def _worth_refining(levels: list[Result], accuracy: float | None) -> bool:

@@ -6,7 +6,7 @@ from skfem import Basis, ElementTriP1, ElementVector, LinearForm
 
 import quasiform as qf
 from quasiform.energy.bending import Bending
-from quasiform.energy.paired_membrane import membrane_of
+from quasiform.energy.membrane import membrane_of
 from quasiform.net.free_mesh import triangulate
 from quasiform.unknowns import Unknowns
 
