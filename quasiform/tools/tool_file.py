@@ -147,7 +147,17 @@ def read(part: ToolPart, outline: shapely.Polygon, travel: float, thickness: flo
     across = float(np.ptp(np.reshape(outline.bounds, (2, 2)), axis=0).max())
     with naming(file.path):
         surface.check_size(np.ptp(vertices, axis=0).max(), across, file.scale)
-        _check_over_sheet(vertices[:, :2] + part.place, file, outline, reach)
+        plan, sheet = vertices[:, :2] + part.place, np.reshape(outline.bounds, (2, 2))
+        tool = np.stack([plan.min(0), plan.max(0)])
+        beside = max(10.0, surface.MARGIN * (file.spacing or surface.SPACING))
+        if (tool[0] - beside >= reach).any() or (tool[1] + beside <= -reach).any():
+            words = "x {:.4g} to {:.4g}, y {:.4g} to {:.4g} mm"
+            at, there = (words.format(*box.T.ravel()) for box in (tool, sheet))
+            moved = file.moved_origin(*(tool - sheet).mean(0))
+            raise InputError(
+                f"the tool is nowhere near the sheet: it lies at {at}, the sheet at {there}; "
+                f"{moved} puts it over the middle of the sheet"
+            )
         grid = surface.surface_grid(
             vertices, triangles, low, high, file.spacing, across, file.scale, file.flip
         )
@@ -193,21 +203,3 @@ def _orientation_warnings(
     flip = f"inside out? flip = {str(not file.flip).lower()}; or upside down? {upside_down}"
     away = up * (1 if role == "die" else -1) < 0
     return [f"its normals point away from the sheet: {flip}"] if away else []
-
-
-def _check_over_sheet(
-    plan: FloatArray, file: SurfaceFile, outline: shapely.Polygon, reach: FloatArray
-) -> None:
-    low, high = tool = np.stack([plan.min(0), plan.max(0)])
-    beside = max(10.0, surface.MARGIN * (file.spacing or surface.SPACING))
-    if (low - beside < reach).all() and (high + beside > -reach).all():
-        return
-    sheet = np.reshape(outline.bounds, (2, 2))
-    at = [
-        "x {:.4g} to {:.4g}, y {:.4g} to {:.4g} mm".format(*box.T.ravel()) for box in (tool, sheet)
-    ]
-    moved = file.moved_origin(*(tool - sheet).mean(0))
-    raise InputError(
-        f"the tool is nowhere near the sheet: it lies at {at[0]}, the sheet at {at[1]}; {moved} "
-        "puts it over the middle of the sheet"
-    )
