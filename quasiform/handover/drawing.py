@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -82,12 +81,9 @@ def write_svg(pattern: Drawing, path: Path) -> None:
 
 def write_csv(pattern: Drawing, path: Path) -> None:
     """Write the points of the lines: layer, number of the line in it, x, y."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(["layer", "loop", "x_mm", "y_mm"])
-        for layer, lines in (("TRIM", pattern.trim), ("BLANK", pattern.blank)):
-            for number, line in enumerate(lines):
-                writer.writerows([layer, number, f"{x:.6g}", f"{y:.6g}"] for x, y in line)
+    layers = {"TRIM": pattern.trim, "BLANK": pattern.blank}
+    text = render("pattern.csv", layers=layers).replace("\n", "\r\n")
+    path.write_text(text, encoding="utf-8", newline="")
 
 
 def _content(
