@@ -229,8 +229,7 @@ def compare(
     rows.outlines(sheet, theirs, band_outline)
     forces = common_forces(mine, other, goal)
     rows.forces(forces, band_force)
-    for name, side in zip(SIDES, (mine, other), strict=True):
-        rows.energies(name, side, goal)
+    rows.energies((mine, other), goal)
     if not rows.rows:
         words = "nothing in common to compare: no field of γ, outline or force"
         raise InputError(f"{other.name}: {words}")

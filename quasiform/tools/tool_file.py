@@ -120,11 +120,9 @@ class ToolFile:
         """What may have put it into the flat sheet, and what corrects it."""
         if self.warnings:
             return f"{self.name}: {self.warnings[0]}"
-        flip = f"set flip = {str(not self.file.flip).lower()}"
-        if self.part.z is None:
-            return flip
-        where = "on" if self.down else "under"
-        return f"check its z, {self.rest:.4g} puts it {where} the sheet, or {flip}"
+        where = f"{self.rest:.4g} puts it {'on' if self.down else 'under'} the sheet"
+        place = "" if self.part.z is None else f"check its z, {where}, or "
+        return f"{place}set flip = {str(not self.file.flip).lower()}"
 
 
 def read(part: ToolPart, outline: shapely.Polygon, travel: float, thickness: float) -> ToolFile:
