@@ -50,7 +50,7 @@ class Markdown(griffe.Extension):
     """Docstrings are numpydoc; what of their markup is not Markdown is turned into it."""
 
     def on_instance(self, *, obj: griffe.Object, **_: object) -> None:
-        """Called for every object with the docstring as it stands in the source."""
+        """Called for every object with its docstring as written."""
         if obj.docstring:
             text = obj.docstring.value
             text = re.sub(r"::$", ":", text, flags=re.MULTILINE)

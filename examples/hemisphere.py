@@ -12,5 +12,5 @@ print("draw-in, mm:", {edge: round(inward, 2) for edge, inward in result.draw_in
 # whether to believe it
 print("certified:", bool(result.certified), *result.certified.reasons)
 print("estimated errors:", {name: f"{error:.2g}" for name, error in result.estimate.items()})
-doubts = {why: f"{flag.mean():.1%}" for why, flag in result.doubts().items()}
+doubts = {why: f"{flag.mean():.1%}" for why, flag in result.sheet.doubts().items()}
 print("doubtful triangles:", doubts)

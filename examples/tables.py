@@ -22,7 +22,7 @@ print(forces.round(2))
 # one row a triangle: where it lies on the flat blank, its area, and the scalar fields
 locking = runs["locking"]
 flat = dict(zip(("X_mm", "Y_mm"), locking.blank.centroids.T, strict=True))
-scalars = {name: values for name, values in locking.cell_fields().items() if values.ndim == 1}
+scalars = {name: values for name, values in locking.sheet.cell_fields.items() if values.ndim == 1}
 triangles = pd.DataFrame(flat | {"area_mm2": locking.blank.areas} | scalars)
 sheared = triangles[triangles["shear_angle"].abs() > 45]
 print(f"{sheared['area_mm2'].sum() / triangles['area_mm2'].sum():.1%} is sheared beyond 45 degrees")
@@ -33,7 +33,7 @@ summary = pd.DataFrame(
         law: {
             "force_N": run.force,
             "p99_deg": run.quantities["shear_angle_deg"],
-            "largest_E11": np.abs(run.cell_fields()["E11"]).max(),
+            "largest_E11": np.abs(run.sheet.cell_fields["E11"]).max(),
             "certified": bool(run.certified),
         }
         for law, run in runs.items()

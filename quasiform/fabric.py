@@ -19,32 +19,23 @@ from dataclasses import asdict, dataclass, field, fields
 from functools import cached_property
 from numbers import Integral, Real
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
-from .checks import InputError, check_number, suggestion
+from .checks import InputError, check_keys, check_number, suggestion
 from .toml_file import read_toml, toml_text
 
 FloatArray = np.ndarray
+T = TypeVar("T")
 
 
 def invariants(F: FloatArray, a0: FloatArray, b0: FloatArray) -> tuple[FloatArray, ...]:
-    """Invariants I4, I6, I8 of the deformation gradient (Eqs. 1-3).
+    """Invariants I4, I6, I8 (Eqs. 1-3), (...) arrays, dimensionless.
 
-    Parameters
-    ----------
-    F : (..., m, 2) or (..., m, 3) array
-        Deformation gradient, dimensionless.
-    a0, b0 : (2,) or (3,) arrays
-        Warp and weft unit vectors of the flat fabric.
+    F is the deformation gradient, (..., m, 2) or (..., m, 3); a0 and b0 are the unit vectors of
+    warp and weft in the flat fabric.
 
-    Returns
-    -------
-    I4, I6, I8 : (...) arrays, dimensionless
-
-    Examples
-    --------
     >>> I4, I6, I8 = invariants(np.eye(2), np.array([1.0, 0.0]), np.array([0.0, 1.0]))
     >>> float(I4), float(I6), float(I8)
     (1.0, 0.0, 1.0)
@@ -94,20 +85,15 @@ class ThreeStageLaw:
     I_lo: float | None = None
 
     def __post_init__(self) -> None:
-        later = ("S_ini", "C_mid", "dS_mid", "C_lo", "I_lo")
+        later = [f.name for f in fields(self)][1:]
         missing = [name for name in later if getattr(self, name) is None]
         if missing and len(missing) < len(later):
-            raise InputError(
-                f"a three-stage law needs all of {', '.join(later)}: {', '.join(missing)} missing"
-            )
-        for f in fields(self):
-            value = getattr(self, f.name)
-            if value is not None:
-                check_number(f.name, value, zero_allowed=f.name in ("C_mid", "C_lo"))
-        if not missing and self.I_lo <= self.S_ini / self.C_ini:
-            raise InputError(
-                f"I_lo must lie beyond S_ini/C_ini = {self.S_ini / self.C_ini:.4g}, got {self.I_lo}"
-            )
+            words = f"a three-stage law needs all of {', '.join(later)}"
+            raise InputError(f"{words}: {', '.join(missing)} missing")
+        for name in ["C_ini", *later][: None if not missing else 1]:
+            check_number(name, getattr(self, name), zero_allowed=name in ("C_mid", "C_lo"))
+        if not missing and self.I_lo <= (It := self.S_ini / self.C_ini):
+            raise InputError(f"I_lo must lie beyond S_ini/C_ini = {It:.4g}, got {self.I_lo}")
 
     @property
     def linear(self) -> bool:
@@ -143,12 +129,11 @@ class ThreeStageLaw:
         x = np.abs(I - I0)
         It, c, y, z = self._stages(x)
         E = np.exp(-c * y)
-        later = (
-            self.C_mid * (1.0 - E) + (self.C_mid * y + self.dS_mid) * c * E + 2.0 * self.C_lo * z
-        )
-        return np.where(x < It, self.C_ini, later)
+        plateau = self.C_mid * (1.0 - E) + (self.C_mid * y + self.dS_mid) * c * E
+        return np.where(x < It, self.C_ini, plateau + 2.0 * self.C_lo * z)
 
     def _stages(self, x: FloatArray) -> tuple[float, float, FloatArray, FloatArray]:
+        """I^t, c, y and z."""
         It = self.S_ini / self.C_ini
         return It, self.C_ini / self.dS_mid, np.maximum(x - It, 0.0), np.maximum(x - self.I_lo, 0.0)
 
@@ -170,9 +155,8 @@ class TabulatedLaw:
 
     with q = 5 D - 2 m0 - 2 m1 >= 0, half of which either end may take from the middle one. Both
     derivatives come from parabolas, of S for m and of m for s. A slope shrinks by the smaller of
-    the factors 5/2 D/(m0 + m1) < 1 of its two intervals, which does no harm to the other one; s is
-    clipped to its bounds. At zero S is odd, s = 0; at the end s = 0 too, and S goes on as a
-    straight line of 1/4 to 5/4 of the last secant.
+    the factors 5/2 D/(m0 + m1) < 1 of its two intervals; s is clipped to its bounds. At zero and at
+    the end s = 0; beyond it S is a straight line of 1/4 to 5/4 of the last secant.
 
     Parameters
     ----------
@@ -192,24 +176,21 @@ class TabulatedLaw:
     S12: tuple[float, ...]
 
     def __post_init__(self) -> None:
-        for name in ("I6", "S12"):
-            object.__setattr__(self, name, _increasing(name, getattr(self, name)))
-        if len(self.I6) != len(self.S12):
-            raise InputError(
-                f"I6 and S12 must be of one length, got {len(self.I6)} and {len(self.S12)} numbers"
-            )
-        if self.I6[0] == 0 and self.S12[0] != 0:
-            raise InputError(f"S12[0] must be 0, where I6[0] = 0, got {self.S12[0]!r}")
-        if self.I6[0] > 0:
-            check_number(f"S12[0], where I6[0] = {self.I6[0]!r},", self.S12[0])
-            object.__setattr__(self, "I6", (0.0, *self.I6))
-            object.__setattr__(self, "S12", (0.0, *self.S12))
-        if self.I6[-1] > 1.5:
-            raise InputError(f"I6 = sin(shear angle) must not exceed 1.5, got {self.I6[-1]!r}")
-        if len(self.I6) < 4:
-            raise InputError(
-                f"a tabulated law needs at least 4 points with the origin, got {len(self.I6)}"
-            )
+        I6, S12 = _increasing("I6", self.I6), _increasing("S12", self.S12)
+        lengths = f"{len(I6)} and {len(S12)}"
+        at, origin = f"where I6[0] = {I6[0]:g}", (0.0,) if I6[0] > 0 else ()
+        n, last, stress = len(I6) + len(origin), I6[-1], S12[0]
+        for wrong, words in (
+            (len(I6) != len(S12), f"I6 and S12 must be of one length, got {lengths} numbers"),
+            (not origin and stress > 0, f"S12[0] must be 0, {at}, got {stress!r}"),
+            (origin and stress == 0, f"S12[0], {at}, must be a positive number, got {stress!r}"),
+            (last > 1.5, f"I6 = sin(shear angle) must not exceed 1.5, got {last!r}"),
+            (n < 4, f"a tabulated law needs at least 4 points with the origin, got {n}"),
+        ):
+            if wrong:
+                raise InputError(words)
+        object.__setattr__(self, "I6", (*origin, *I6))
+        object.__setattr__(self, "S12", (*origin, *S12))
 
     @property
     def linear(self) -> bool:
@@ -264,36 +245,32 @@ class TabulatedLaw:
 
 
 def _parabola(h: FloatArray, D: FloatArray) -> FloatArray:
-    """(n - 1,) slopes at the inner knots of parabolas through three points.
-
-    `h` and `D` are the (n,) widths and secants of the intervals.
-    """
+    """(n - 1,) slopes at the inner knots of parabolas, from (n,) widths h and secants D."""
     return (h[1:] * D[:-1] + h[:-1] * D[1:]) / (h[1:] + h[:-1])
 
 
 def _increasing(name: str, values: Any) -> tuple[float, ...]:
     """Return a sequence as a tuple of numbers, none negative, strictly increasing."""
-    if isinstance(values, str | Mapping) or not np.iterable(values):
-        raise InputError(f"{name} must be a list of numbers, got {values!r}")
-    numbers: list[float] = []
-    for i, value in enumerate(values):
-        numbers.append(float(check_number(f"{name}[{i}]", value, zero_allowed=True)))
+    listed = not isinstance(values, str | Mapping) and np.iterable(values)
+    if not listed or not len(numbers := list(values)):
+        got = "none" if listed else repr(values)
+        raise InputError(f"{name} must be a list of numbers, got {got}")
+    for i, value in enumerate(numbers):
+        numbers[i] = float(check_number(f"{name}[{i}]", value, zero_allowed=True))
         if i and numbers[i] <= numbers[i - 1]:
-            raise InputError(
-                f"{name}[{i}] must be greater than {name}[{i - 1}] = {numbers[i - 1]!r}, "
-                f"got {numbers[i]!r}"
-            )
-    if not numbers:
-        raise InputError(f"{name} must be a list of numbers, got none")
+            before = f"{name}[{i - 1}] = {numbers[i - 1]!r}"
+            raise InputError(f"{name}[{i}] must be greater than {before}, got {numbers[i]!r}")
     return tuple(numbers)
 
 
 _TENSION = ThreeStageLaw(C_ini=1000.0)
-_NUMBERS = dict.fromkeys(("thickness", "compaction", "shear_range"), False)  # may it be zero?
-_NUMBERS |= dict.fromkeys(
-    ("bending_warp", "bending_weft", "friction", "areal_weight", "in_plane_bending"), True
-)
-_MD600_SHEAR = {"C_ini": 0.334, "S_ini": 0.00386, "C_mid": 0.00196, "dS_mid": 0.0399}
+_POSITIVE = ("thickness", "compaction", "shear_range")
+_MAY_BE_ZERO = ("bending_warp", "bending_weft", "friction", "areal_weight", "in_plane_bending")
+_MD600 = {"C_ini": 0.334, "S_ini": 0.00386, "C_mid": 0.00196, "dS_mid": 0.0399}
+PRESETS = {
+    "locking": {"C_lo": 1000.0, "I_lo": 0.819},
+    "best-fit": {"C_lo": 0.911, "I_lo": 0.610},
+}
 
 
 @dataclass(frozen=True)
@@ -336,9 +313,7 @@ class Fabric:
     """
 
     name: str = "MD600 locking"
-    shear: ThreeStageLaw | TabulatedLaw = field(
-        default_factory=lambda: ThreeStageLaw(**_MD600_SHEAR, C_lo=1000.0, I_lo=0.819)
-    )
+    shear: ThreeStageLaw | TabulatedLaw = ThreeStageLaw(**_MD600, **PRESETS["locking"])
     warp: ThreeStageLaw = _TENSION
     weft: ThreeStageLaw = _TENSION
     thickness: float = 1.004
@@ -354,16 +329,13 @@ class Fabric:
     def __post_init__(self) -> None:
         if not isinstance(self.name, str):
             raise InputError(f"Fabric(name=...) must be a text, got {self.name!r}")
-        for name in ("shear", "warp", "weft"):
-            law, kinds = getattr(self, name), [ThreeStageLaw]
-            if name == "shear":
-                kinds.append(TabulatedLaw)
-            if not isinstance(law, tuple(kinds)):
-                expected = " or a ".join(kind.__name__ for kind in kinds)
-                raise InputError(
-                    f"Fabric({name}=...) must be a {expected}, got {type(law).__name__}"
-                )
-        for name, zero_allowed in _NUMBERS.items():
+        three = (ThreeStageLaw,)
+        for name, kinds in (("shear", (*three, TabulatedLaw)), ("warp", three), ("weft", three)):
+            if not isinstance(law := getattr(self, name), kinds):
+                words = f"a {' or a '.join(kind.__name__ for kind in kinds)}"
+                raise InputError(f"Fabric({name}=...) must be {words}, got {type(law).__name__}")
+        for name in (*_POSITIVE, *_MAY_BE_ZERO):
+            zero_allowed = name in _MAY_BE_ZERO
             check_number(f"Fabric({name}=...)", getattr(self, name), zero_allowed=zero_allowed)
         if self.in_plane_bending > 1:
             raise InputError(f"in_plane_bending must not exceed 1, got {self.in_plane_bending}")
@@ -371,31 +343,14 @@ class Fabric:
 
     @staticmethod
     def preset(name: str) -> Fabric:
-        """MD600 with the 'best-fit' or the 'locking' shear law of Table 1.
-
-        Raises
-        ------
-        InputError
-            For any other name.
-        """
-        if name == "locking":
-            return Fabric()
-        if name == "best-fit":
-            shear = ThreeStageLaw(**_MD600_SHEAR, C_lo=0.911, I_lo=0.610)
-            return Fabric(name="MD600 best-fit", shear=shear)
-        raise InputError(f"unknown law '{name}': {suggestion(name, PRESETS)}, or a .toml file")
+        """MD600 with the 'best-fit' or the 'locking' shear law of Table 1, by this name."""
+        if name not in PRESETS:
+            raise InputError(f"unknown law '{name}': {suggestion(name, PRESETS)}, or a .toml file")
+        return Fabric(f"MD600 {name}", ThreeStageLaw(**_MD600, **PRESETS[name]))
 
     @staticmethod
     def load(path: str | Path) -> Fabric:
-        """Read a fabric from a TOML file as written by `save`.
-
-        What is left out keeps its default, but the name, which is then that of the file.
-
-        Raises
-        ------
-        InputError
-            For unreadable files, unknown keys and bad values; one line naming file and key.
-        """
+        """Read a fabric from a TOML file at `path` as written by `save`; a key may be left out."""
         return read_toml(path, lambda table: _fabric({"name": Path(path).stem, **table}))
 
     def save(self, path: str | Path) -> None:
@@ -415,25 +370,12 @@ class Fabric:
 
     @staticmethod
     def read(written: Mapping[str, Any]) -> Fabric:
-        """Return the fabric that was written.
-
-        Raises
-        ------
-        InputError
-        """
+        """Return the fabric of a table that was `written`."""
         return _fabric(dict(written))
 
 
-PRESETS = ("locking", "best-fit")
-
-
 def fabric_of(law: str | Path | Fabric) -> Fabric:
-    """Return a `Fabric`: itself, a preset by name, or read from a TOML file.
-
-    Raises
-    ------
-    InputError
-    """
+    """Return a `Fabric`: itself, a preset by name, or read from a TOML file."""
     if isinstance(law, Fabric):
         return law
     if str(law).endswith(".toml"):
@@ -442,21 +384,32 @@ def fabric_of(law: str | Path | Fabric) -> Fabric:
 
 
 def _fabric(table: dict[str, Any]) -> Fabric:
-    from .schema import read_dataclass  # pydantic, only where a file is read
-
-    points = {f.name for f in fields(TabulatedLaw)}
+    stages, points = ([f.name for f in fields(law)] for law in (ThreeStageLaw, TabulatedLaw))
     for key in [key for key in table if key in ("shear", "warp", "weft")]:
-        kind, numbers = ThreeStageLaw, table[key]
-        if key == "shear" and isinstance(numbers, Mapping) and points & numbers.keys():
+        numbers, kind = table[key], ThreeStageLaw
+        given = numbers if key == "shear" and isinstance(numbers, Mapping) else ()
+        if point := next((name for name in given if name in points), None):
             kind = TabulatedLaw
-            for stage in (f.name for f in fields(ThreeStageLaw) if f.name in numbers):
-                point = next(name for name in numbers if name in points)
-                raise InputError(
-                    f"[{key}] {point} is of a table, {stage} of a three-stage law: "
-                    "give one of the two"
-                )
-        table[key] = read_dataclass(kind, numbers, key)
-    return read_dataclass(Fabric, table)
+            if mixed := [stage for stage in stages if stage in given]:
+                words = f"{point} is of a table, {mixed[0]} of a three-stage law"
+                raise InputError(f"[{key}] {words}: give one of the two")
+        table[key] = _checked(kind, numbers, key)
+    return _checked(Fabric, table)
+
+
+def _checked(kind: type[T], table: Any, where: str = "") -> T:
+    """Return the table of a file, called `where`, as a dataclass that checks its own values."""
+    if not isinstance(table, Mapping):
+        raise InputError(f"{where} = {table!r}: expected a table [{where}]")
+    known = {f.name: f.default is f.default_factory for f in fields(kind)}  # has it no default?
+    try:
+        check_keys(table, known)
+        for name in known:
+            if known[name] and name not in table:
+                raise InputError(f"{name} missing")
+        return kind(**table)
+    except InputError as error:
+        raise InputError(f"[{where}] {error}" if where else str(error)) from error
 
 
 def _provenance(given: Any) -> dict[str, str | float]:
@@ -468,11 +421,9 @@ def _provenance(given: Any) -> dict[str, str | float]:
     for key, value in given.items():
         if not isinstance(key, str):
             raise InputError(f"a key of provenance must be a text, got {key!r}")
-        kind = next((kind for given_kind, kind in kinds if isinstance(value, given_kind)), None)
+        kind = next((kind for known, kind in kinds if isinstance(value, known)), None)
         if kind is None or (kind is float and not np.isfinite(value)):
-            raise InputError(
-                f"provenance '{key}' must be a text, a finite number or true or false, "
-                f"got {value!r}"
-            )
+            expected = "a text, a finite number or true or false"
+            raise InputError(f"provenance '{key}' must be {expected}, got {value!r}")
         plain[key] = kind(value)
     return plain

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import fields, is_dataclass
 from functools import cached_property
 from hashlib import blake2b
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -30,27 +32,24 @@ def fingerprint(thing: Any) -> str:
         else:
             seen[id(part)] = len(seen)
             digest.update(type(part).__qualname__.encode())
-            inside(part)
-
-    def inside(part: Any) -> None:
-        if isinstance(part, dict):
-            for key, value in part.items():
-                take(key)
-                take(value)
-        elif isinstance(part, list | tuple):
-            for value in part:
-                take(value)
-        elif isinstance(part, set | frozenset):
-            digest.update(repr(sorted(map(repr, part))).encode())
-        elif is_dataclass(part) or (hasattr(part, "__dict__") and not callable(part)):
-            names = [f.name for f in fields(part)] if is_dataclass(part) else vars(part)
-            for name in names:
-                if name in CACHES or isinstance(getattr(type(part), name, None), cached_property):
-                    continue
-                digest.update(name.encode())
-                take(getattr(part, name))
-        else:
-            digest.update(str(id(part)).encode())
+            for inner in _inside(part):
+                take(inner)
 
     take(thing)
     return digest.hexdigest()
+
+
+def _inside(part: Any) -> Iterable[Any]:
+    """What an object consists of."""
+    if isinstance(part, dict):
+        return chain.from_iterable(part.items())
+    if isinstance(part, list | tuple):
+        return part
+    if isinstance(part, set | frozenset):
+        return sorted(map(repr, part))
+    if is_dataclass(part) or (hasattr(part, "__dict__") and not callable(part)):
+        names = [f.name for f in fields(part)] if is_dataclass(part) else vars(part)
+        kind = {n: getattr(type(part), n, None) for n in names if n not in CACHES}
+        own = [name for name, value in kind.items() if not isinstance(value, cached_property)]
+        return chain.from_iterable((name, getattr(part, name)) for name in own)
+    return (id(part),)

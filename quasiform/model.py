@@ -14,9 +14,8 @@ from .energy.membrane import Membrane
 from .energy.term import Term
 from .fingerprint import fingerprint
 from .net.edges import EdgePoint
-from .unknowns import Field, Sheet, Unknowns
+from .unknowns import Field, FloatArray, Sheet, Unknowns
 
-FloatArray = np.ndarray
 COLLAPSE = np.radians(85.0)
 MOST_TILT = 10.0  # degrees
 
@@ -25,80 +24,41 @@ MOST_TILT = 10.0  # degrees
 class Model:
     """What is solved: built by `forming` and the other ready scenes, or by hand.
 
-    Parameters
-    ----------
-    name : str
-        Of the case, and of its folder.
-    unknowns : Unknowns
-        The table of x.
-    sheets : list of Sheet
-    terms : list of Term
-        Energies. Append your own, best through `including`.
-    x0 : (n_dofs,) array
-        Start.
-    fixed : (n_dofs,) bool array
-        Prescribed unknowns.
-    drive : (n_dofs,) array, or a function of the travel
-        Their motion per unit of travel; or a function that returns their positions (n_dofs,) and
-        the rate of these (n_dofs,).
-    travel : float
-        Where to end (mm for a punch or a grip; 1 for a load factor).
-    increment : float
-        Largest increment of travel when the program chooses, mm (or of the load factor).
-    rows : float
-        History rows fall on multiples of this travel, mm (or of the load factor).
-    travel_name : str
-        Column of the travel in the history.
-    share : float
-        Modelled share of the whole (1/4 with two mirror planes); forces are divided by it.
-    resting : float
-        Dead load that keeps the model together (holder weight of the modelled share), N. The
-        residual is measured against 2 % of it while the driving force is smaller.
-    dead_load : float
-        Where the travel is a load factor: the whole load, N, that the residual is measured against.
-    description : list of (entry, reason)
-        What is modelled and what was left out, and why.
-    parameters : dict
-        The user's input, as written into `summary.json`.
-    measures : dict
-        Functions of x whose values are columns of the history (name: function).
-    areas : dict of name to (centre, radius)
-        Discs of the flat blank over which the shear angle is averaged, mm, in the user's axes.
-    edges : dict of direction to EdgePoint
-        Where the draw-in is measured, on the whole sheet in the user's axes.
-    coarsest : float
-        Largest size at which the path is worth following: that of the sharpest tool, mm.
-    outputs : dict
-        `pictures` and `increments`: whether these files are written by default.
-    tools : optional
-        What the builder made for the whole sheet, for the same model on another mesh.
-    recipe : recipe.Recipe, optional
-        What it was built from; the same model is built from it at any size.
+    The travel and what is measured by it are mm for a punch or a grip, and 1 for a load factor.
+    Append terms of your own to `terms`, or best through `including`.
     """
 
-    name: str
-    unknowns: Unknowns
+    name: str  # of the case, and of its folder
+    unknowns: Unknowns  # the table of x
     sheets: list[Sheet]
     terms: list[Term]
-    x0: FloatArray
-    fixed: np.ndarray
+    x0: FloatArray  # (n_dofs,) start
+    fixed: np.ndarray  # (n_dofs,) bool: which unknowns are prescribed
+    # (n_dofs,) their motion per unit of travel; or a function of the travel that returns their
+    # positions (n_dofs,) and the rate of these (n_dofs,)
     drive: FloatArray | Callable[[float], tuple[FloatArray, FloatArray]]
-    travel: float
-    increment: float
-    rows: float
-    travel_name: str = "displacement_mm"
-    share: float = 1.0
+    travel: float  # where to end
+    increment: float  # of the travel, the largest when the program chooses
+    rows: float  # rows of the history fall on multiples of this travel
+    travel_name: str = "displacement_mm"  # column of the history
+    share: float = 1.0  # modelled share of the whole (1/4 with two mirror planes) in all forces
+    # load that keeps the model together (holder weight of the modelled share), N: residuals are
+    # relative to 2 % of it while the driving force is smaller
     resting: float = 0.0
-    dead_load: float = 0.0
-    description: list[tuple[str, str]] = field(default_factory=list)
-    parameters: dict[str, Any] = field(default_factory=dict)
+    dead_load: float = 0.0  # N, to which residuals are relative where the travel is a load factor
+    description: list[tuple[str, str]] = field(default_factory=list)  # (what is modelled, why)
+    parameters: dict[str, Any] = field(default_factory=dict)  # the user's, for `summary.json`
+    # columns of the history: name and function of x
     measures: dict[str, Callable[[FloatArray], float]] = field(default_factory=dict)
+    # discs (centre, radius) of the flat blank in the user's axes, mm, with their mean shear angle
     areas: dict[str, tuple[tuple[float, float], float]] = field(default_factory=dict)
+    # where the draw-in is measured by direction, on the whole sheet in the user's axes
     edges: dict[str, EdgePoint] = field(default_factory=dict)
-    coarsest: float = 0.0
+    coarsest: float = 0.0  # mm, largest size at which the path is worth following
+    # which files are written by default
     outputs: dict[str, bool] = field(default_factory=lambda: {"pictures": True, "increments": True})
-    tools: Any = None
-    recipe: Any = None
+    tools: Any = None  # of the whole sheet, for the same model on another mesh
+    recipe: Any = None  # a `Recipe`, from which the same model is built at any size
     built: str = ""  # fingerprint when it was built from its recipe
 
     def __repr__(self) -> str:
@@ -122,7 +82,6 @@ class Model:
 
     @property
     def membranes(self) -> list[Membrane]:
-        """The membrane terms, one a sheet."""
         return [term for term in self.terms if isinstance(term, Membrane)]
 
     @property
@@ -132,54 +91,34 @@ class Model:
 
     @property
     def contacts(self) -> list[Contact]:
-        """The contact terms."""
         return [term for term in self.terms if isinstance(term, Contact)]
 
     @property
     def frictions(self) -> list[Friction]:
-        """The friction terms."""
         return [term for term in self.terms if isinstance(term, Friction)]
 
     def add(self, name: str, components: int, sheet: Sheet | None = None, **given: Any) -> Field:
-        """Append a field of unknowns, free and zero at the start.
+        """Append a field of unknowns, free and zero at the start; see `Unknowns.add`.
 
-        Parameters
-        ----------
-        name : str
-        components : int
-            Numbers at each node of `sheet`, or in all without one.
-        sheet : Sheet, optional
-            At whose nodes they lie.
-        given
-            More of `Unknowns.add`.
+        It has so many components at each node of `sheet`, or in all without one.
         """
         if sheet is not None:
             given |= {"places": sheet.blank.nodes, "areas": sheet.blank.node_areas}
         added = self.unknowns.add(name, components, **given)
         more = self.unknowns.size - len(self.x0)
         self.x0, self.fixed = np.pad(self.x0, (0, more)), np.pad(self.fixed, (0, more))
-        if callable(self.drive):
-            drive = self.drive
+        if callable(drive := self.drive):
             self.drive = lambda s: tuple(np.pad(values, (0, more)) for values in drive(s))
         else:
-            self.drive = np.pad(self.drive, (0, more))
+            self.drive = np.pad(drive, (0, more))
         return added
 
     def including(self, change: Callable[[Model], None]) -> Model:
         """Return the model built anew with a change that is part of its recipe.
 
-        Every mesh of a refined run, the error estimate and every worker then has it.
-
-        Parameters
-        ----------
-        change : callable
-            Called with the model: it may append terms, fields, areas and measures, and set
-            supports. Defined in a module, it can also be written down and sent to another process.
-
-        Raises
-        ------
-        ValueError
-            If the model was built by hand.
+        Every mesh of a refined run, the error estimate and every worker then has it. `change` is
+        called with the model: it may append terms, fields, areas and measures, and set supports.
+        Defined in a module, it can also be sent to another process.
         """
         if self.recipe is None:
             raise ValueError("this model has no recipe: change it itself")
@@ -197,17 +136,9 @@ class Model:
         return self.x0 + travel * self.drive, self.drive
 
     def collapsed(self, x: FloatArray, travel: float) -> dict[str, Any] | None:
-        """Where a triangle is sheared beyond 85 degrees or turned over, or None.
+        """Where triangles are sheared beyond 85 degrees or turned over at this travel, or None.
 
-        Parameters
-        ----------
-        x : (n_dofs,) array
-        travel : float
-            At which this is so, mm.
-
-        Returns
-        -------
-        dict with `travel_mm`, `at` (flat position, mm), `shear_angle_deg` and `triangles` (count)
+        `travel_mm`, `at` (flat position, mm), `shear_angle_deg` and `triangles` (their number).
         """
         for membrane in self.membranes:
             sheet, gamma = membrane.sheet, np.abs(membrane.shear_angle(x))
@@ -239,6 +170,5 @@ class Model:
 
     def turned_over(self, x: FloatArray, trial: FloatArray) -> bool:
         """Whether a triangle is turned over between two states."""
-        return any(
-            bool(((m.normals(x) * m.normals(trial)).sum(1) <= 0).any()) for m in self.membranes
-        )
+        turns = ((m.normals(x) * m.normals(trial)).sum(1) for m in self.membranes)
+        return any(bool((turn <= 0).any()) for turn in turns)

@@ -10,11 +10,9 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from .energy.term import Term
+from .unknowns import FloatArray, IntArray
 
-FloatArray = np.ndarray
-IntArray = np.ndarray
-Memory = tuple[Any, ...]
-"""The states of all terms, in their order; owned by a run."""
+Memory = tuple[Any, ...]  # the states of all terms, in their order; owned by a run
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,16 +26,7 @@ class _Share:
 
 
 class Potential:
-    """The sum of the energy terms.
-
-    Parameters
-    ----------
-    terms : list of Term
-    free : (n_dofs,) bool array
-        Unknowns to be solved for.
-    memory : tuple
-        States of the terms, whose stencils set the pattern.
-    """
+    """The sum of the terms over the free unknowns (n_dofs,) bool, whose states set the pattern."""
 
     def __init__(self, terms: Sequence[Term], free: np.ndarray, memory: Memory) -> None:
         self.terms, self.free = list(terms), free
@@ -98,12 +87,7 @@ class Potential:
         # where two of a stencil are one unknown, H_ij and H_ji fall on its diagonal
         return key, np.where((a == b) & (i != j), 2, 1).astype(np.int8)
 
-    def initial(self, x: FloatArray) -> Memory:
-        """States of all terms at the start of a run."""
-        return tuple(term.initial(x) for term in self.terms)
-
     def refresh(self, x: FloatArray, memory: Memory) -> Memory:
-        """Take lagged values from x."""
         return tuple(t.refresh(x, s) for t, s in zip(self.terms, memory, strict=True))
 
     def commit(self, x: FloatArray, memory: Memory) -> Memory:
@@ -133,25 +117,12 @@ class Potential:
         motion: FloatArray | None = None,
         stress: FloatArray | None = None,
     ) -> tuple[FloatArray, FloatArray]:
-        """Upper triangle of the free Hessian in the pattern, and its product with a motion.
+        """Upper triangle of the free Hessian, and its product with a motion.
 
-        Parameters
-        ----------
-        x : (n_dofs,) array, mm
-        memory : tuple
-        convex : bool
-            Take the nearby positive semi-definite Hessian of each term.
-        motion : (n_dofs,) array, mm, optional
-            A motion of the prescribed unknowns.
-        stress : array, optional
-            For the terms that foresee one.
-
-        Returns
-        -------
-        values : (nnz,) array, N/mm
-            Data for `pattern` (upper triangle, CSR).
-        load : (n_free,) array, N
-            Change of the free forces under `motion`; zeros without one.
+        The first are data (nnz,) for `pattern` (CSR), N/mm; with `convex` of the nearby positive
+        semi-definite Hessian of each term, with `stress` of the terms that foresee one. The second
+        is the change of the free forces (n_free,), N, under a motion (n_dofs,) of the prescribed
+        unknowns; zeros without one.
         """
         values = self._constant.copy()
         load = np.zeros(len(x))
@@ -162,10 +133,9 @@ class Potential:
                 if not len(rows):
                     continue
                 H, dofs = term.hessian(x, state, convex, rows), dofs[rows]
-                i, j = np.triu_indices(dofs.shape[1])
-                upper = share.counts[rows] * H.reshape(len(rows), -1).take(
-                    i * dofs.shape[1] + j, axis=1
-                )
+                k = dofs.shape[1]
+                i, j = np.triu_indices(k)
+                upper = share.counts[rows] * H.reshape(len(rows), -1).take(i * k + j, axis=1)
                 np.add.at(values, share.slots[rows].ravel(), upper.ravel())
             elif share.total is not None:
                 H = term.hessian(x, state, convex, *([stress] if term.foresees else []))

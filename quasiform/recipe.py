@@ -26,44 +26,17 @@ Change = Callable[[Model], None]
 
 @dataclass(frozen=True)
 class Recipe:
-    """What a model is built from.
+    """What a model is built from."""
 
-    Parameters
-    ----------
-    builder : callable
-        Called with `size`, `like` (a model of the same recipe, whose tools it may take over) and
-        all that is given by name.
-    given : tuple of (name, value)
-        Numbers, text, None, and what `plain` can write: paths, a `Fabric`, a `SceneFile`.
-    size : float
-        Size that was asked for, mm.
-    changes : tuple of callables
-        Called one after the other with the model, once it is built.
-    """
-
-    builder: Builder
-    given: tuple[tuple[str, Any], ...]
-    size: float
-    changes: tuple[Change, ...] = ()
+    builder: Builder  # takes `size`, `like` (a model of this recipe with tools to use again), ...
+    given: tuple[tuple[str, Any], ...]  # ... and what is given by name, which `plain` can write
+    size: float  # that was asked for, mm
+    changes: tuple[Change, ...] = ()  # called one after the other with the model
 
     def build(self, size: float | None = None, like: Model | None = None) -> Model:
-        """Build the model.
-
-        Parameters
-        ----------
-        size : float, optional
-            Of the mesh, mm; that which was asked for if not given.
-        like : Model, optional
-            A model of this recipe, whose tools may be used again.
-
-        Raises
-        ------
-        InputError
-            As the builder does.
-        """
-        model = self.builder(
-            size=self.size if size is None else size, like=like, **dict(self.given)
-        )
+        """Build the model at its size or another, mm; the tools of a model `like` it are used."""
+        size = self.size if size is None else size
+        model = self.builder(size=size, like=like, **dict(self.given))
         for change in self.changes:
             change(model)
         model.recipe = self
@@ -71,40 +44,31 @@ class Recipe:
         return model
 
     def including(self, change: Change) -> Recipe:
-        """Return the recipe with one more change."""
         return replace(self, changes=(*self.changes, change))
 
     def written(self) -> dict[str, Any]:
         """Return the recipe as plain numbers and text, for JSON.
 
-        Raises
-        ------
-        InputError
-            If a change cannot be found by its name in another process.
+        Raises InputError if a change cannot be found by its name in another process.
         """
-        return {
-            "builder": reference(self.builder),
-            "given": {name: plain(value) for name, value in self.given},
-            "size": self.size,
-            "changes": [reference(change) for change in self.changes],
-        }
+        given = {name: plain(value) for name, value in self.given}
+        changes = [reference(change) for change in self.changes]
+        builder = reference(self.builder)
+        return {"builder": builder, "given": given, "size": self.size, "changes": changes}
 
     @staticmethod
     def read(written: Mapping[str, Any]) -> Recipe:
         """Return the recipe that was written down.
 
-        Raises
-        ------
-        InputError
-            If it is not one, or a change is not there any more.
+        Raises InputError if it is not one, or a change is not there any more.
         """
         try:
             given = tuple((name, _live(value)) for name, value in written["given"].items())
             changes = tuple(_found(name) for name in written["changes"])
             return Recipe(_found(written["builder"]), given, float(written["size"]), changes)
+        except InputError:
+            raise
         except (KeyError, TypeError, AttributeError, ValueError, ImportError) as error:
-            if isinstance(error, InputError):
-                raise
             raise InputError(f"not a recipe of a model: {error}") from error
 
     def files(self) -> dict[str, str]:
@@ -130,13 +94,7 @@ def built(builder: Builder, size: float, **given: Any) -> Model:
 
 
 def reference(function: Callable[..., Any]) -> str:
-    """Module and name of a function, by which another process finds it.
-
-    Raises
-    ------
-    InputError
-        If no other process would.
-    """
+    """Module and name of a function, by which another process finds it."""
     module, name = function.__module__, function.__qualname__
     if module == "__main__" or "<" in name:
         raise InputError(
@@ -157,10 +115,7 @@ def _found(reference: str) -> Callable[..., Any]:
 
 @singledispatch
 def plain(value: Any) -> Any:
-    """Return a given value as numbers and text; register a function for a class of your own.
-
-    It returns {"read": reference of the function that reads it back, "from": numbers and text}.
-    """
+    """Return a value as numbers and text, or {"read": reference of a function, "from": ...}."""
     return value
 
 

@@ -5,7 +5,6 @@ Import this module where a file is read, not with the package: pydantic takes a 
 
 import re
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import fields
 from pathlib import Path
 from types import NoneType
 from typing import Annotated, Any, TypeVar
@@ -18,14 +17,12 @@ from pydantic import (
     ValidationError,
     ValidationInfo,
     WithJsonSchema,
-    create_model,
     model_validator,
 )
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from .checks import InputError, check_keys, check_number, suggestion
 
-T = TypeVar("T")
 M = TypeVar("M", bound="Table")
 LARGEST = 1e6  # of a number, in its unit: a kilometre, a meganewton
 STANDINGS = ("measured", "stated", "exact", "peer", "inferred", "assumed")
@@ -49,10 +46,7 @@ class Table(BaseModel):
 def validated(model: type[M], table: Any, folder: Path | None = None) -> M:
     """Return the table of a file as its model; paths are relative to `folder`.
 
-    Raises
-    ------
-    InputError
-        In one line that names table, key, value and what was expected.
+    InputError in one line that names table, key, value and what was expected.
     """
     try:
         return model.model_validate(table, context=folder)
@@ -60,29 +54,9 @@ def validated(model: type[M], table: Any, folder: Path | None = None) -> M:
         raise InputError(_one_line(error.errors(include_url=False)[0], table)) from error
 
 
-def read_dataclass(kind: type[T], table: Any, where: str = "") -> T:
-    """Return the table of a file, called `where`, as a dataclass that checks its own values.
-
-    Raises
-    ------
-    InputError
-    """
-    given = [f for f in fields(kind) if f.init]
-    keys = {f.name: (Any, ...) if f.default is f.default_factory else (Any, OPEN) for f in given}
-    if not isinstance(table, Mapping):
-        raise InputError(f"{where} = {table!r}: expected a table [{where}]")
-    try:
-        validated(create_model(kind.__name__, __base__=Table, **keys), table)
-        return kind(**table)
-    except InputError as error:
-        raise InputError(f"[{where}] {error}" if where else str(error)) from error
-
-
 def dotted(path: Iterable[str | int]) -> str:
     """Name of a place in a file.
 
-    Examples
-    --------
     >>> dotted(["blank", "holes", 0, "radius"])
     'blank.holes 1.radius'
     """
@@ -105,8 +79,11 @@ def _one_line(error: ErrorDetails, table: Any) -> str:
     if kind == "missing":
         path.append(error["loc"][-1])
     place = dotted(path)
-    if kind == "value_error":  # of a whole table
-        return f"[{place}] {context['error']}" if place else str(context["error"])
+    if kind in ("value_error", "table"):  # of a whole table
+        words = str(context.get("error", error["msg"]))
+        return f"[{place}] {words}" if place else words
+    if kind == "part":  # of the table of a number
+        return f"{place}: {error['msg']}"
     if kind in TABLES:
         return f"{place} = {got!r}: expected a table [{place}]"
     if kind.startswith(("list", "tuple")):
@@ -133,6 +110,10 @@ def _one_line(error: ErrorDetails, table: Any) -> str:
 # Types of keys
 
 
+def _refusal(kind: str, words: str) -> PydanticCustomError:
+    return PydanticCustomError(kind, "{words}", {"words": words})
+
+
 def checked(check: Callable[[Any], Any], **schema: Any) -> Any:
     """Type of a key that `check` turns into its value; its InputError continues the key's name."""
 
@@ -140,7 +121,7 @@ def checked(check: Callable[[Any], Any], **schema: Any) -> Any:
         try:
             return check(value)
         except InputError as error:
-            raise PydanticCustomError("wrong", "{words}", {"words": str(error)}) from error
+            raise _refusal("wrong", str(error)) from error
 
     return Annotated[Any, PlainValidator(wrapped), WithJsonSchema(schema)]
 
@@ -148,9 +129,12 @@ def checked(check: Callable[[Any], Any], **schema: Any) -> Any:
 def number(
     text: str, unit: str, *, zero: bool = False, signed: bool = False, most: float = LARGEST
 ) -> Any:
-    """Type of a key with a number in `unit`; `text` says what it is."""
+    """Type of a key with a number in `unit`, or with `{ value, unit, standing }`."""
 
     def check(value: Any) -> float:
+        if isinstance(value, Mapping):
+            check_standing(value, unit, "value", "unit", "standing")
+            value = value.get("value")
         if signed:
             if type(value) not in (int, float) or not abs(value) <= most:
                 raise InputError(f"must be a number of up to {most:g}, got {value!r}")
@@ -164,6 +148,19 @@ def number(
     table = {"type": "object", "properties": keys, "additionalProperties": False}
     both = [plain, table | {"required": ["value", "standing"]}]
     return checked(check, anyOf=both, description=text if unit == "1" else f"{text}; {unit}")
+
+
+def check_standing(table: Mapping[str, Any], unit: str, *keys: str) -> None:
+    """Refuse an unknown key, another unit, and no standing or an unknown one."""
+    try:
+        check_keys(table, keys)
+    except InputError as error:
+        raise _refusal("table", str(error)) from error
+    if table.get("unit", unit) != unit:
+        raise _refusal("part", f"unit must be {unit!r}, got {table['unit']!r}")
+    if (standing := table.get("standing")) not in STANDINGS:
+        known = ", ".join(STANDINGS)
+        raise _refusal("part", f"standing must be one of {known}, got {standing!r}")
 
 
 def vector(text: str, length: int, expected: str = "") -> Any:
@@ -187,63 +184,19 @@ def path(text: str) -> Any:
 
     def check(value: Any, info: ValidationInfo) -> Path:
         if not isinstance(value, str) or not value or "\0" in value:
-            words = f"= {value!r}: expected the path of a file"
-            raise PydanticCustomError("wrong", "{words}", {"words": words})
+            raise _refusal("wrong", f"= {value!r}: expected the path of a file")
         return info.context / value
 
     schema = WithJsonSchema({"type": "string", "description": text})
     return Annotated[Any, PlainValidator(check), schema]
 
 
-# Numbers with a standing
-
-
-def unwrapped(
-    table: Mapping[str, Any], units: Mapping[str, str], together: str = ""
-) -> tuple[dict[str, Any], dict[str, str]]:
-    """Replace `{ value, unit, standing }` by the value, and collect the standings.
-
-    Parameters
-    ----------
-    table : mapping
-        Of a file.
-    units : mapping of key to unit
-        Of the keys with a number.
-    together : str
-        A table whose tables carry one unit (mm) and standing for all their numbers.
-
-    Returns
-    -------
-    table : dict
-    standings : dict of dotted name to standing
-
-    Raises
-    ------
-    InputError
-        For an unknown key, another unit, and no standing or an unknown one.
-    """
-    standings: dict[str, str] = {}
-
-    def walk(value: Any, path: tuple[str | int, ...]) -> Any:
-        if isinstance(value, list):
-            return [walk(inner, (*path, i)) for i, inner in enumerate(value)]
-        if not isinstance(value, dict):
-            return value
-        group = len(path) == 2 and path[0] == together
-        if (group or (path and path[-1] in units)) and value.keys() & {"value", "unit", "standing"}:
-            name, unit = dotted(path), "mm" if group else units[path[-1]]
-            if not group:
-                check_keys(value, ["value", "unit", "standing"], name)
-            if value.get("unit", unit) != unit:
-                raise InputError(f"{name}: unit must be {unit!r}, got {value['unit']!r}")
-            if not group or "standing" in value:
-                standing = value.get("standing")
-                if standing not in STANDINGS:
-                    known = ", ".join(STANDINGS)
-                    raise InputError(f"{name}: standing must be one of {known}, got {standing!r}")
-                standings[name] = standing
-            if not group:
-                return value.get("value")
-        return {key: walk(inner, (*path, key)) for key, inner in value.items()}
-
-    return walk(dict(table), ()), standings
+def standings(table: Any, path: tuple[str | int, ...] = ()) -> dict[str, str]:
+    """Standings in the table of a file by the dotted names of what they are of."""
+    if isinstance(table, Mapping) and "standing" in table:
+        return {dotted(path): table["standing"]}
+    items = enumerate(table) if isinstance(table, list) else ()
+    found: dict[str, str] = {}
+    for key, value in table.items() if isinstance(table, Mapping) else items:
+        found |= standings(value, (*path, key))
+    return found

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import csv
 import re
+from collections import Counter
 from collections.abc import Mapping
 from math import pi
 from pathlib import Path
@@ -17,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .checks import InputError, check_file, suggestion
+from .checks import InputError, check_file, naming, suggestion
 
 FloatArray = np.ndarray
 WIDEST = 5000  # characters of a line
@@ -76,10 +77,7 @@ _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf
 
 
 class Row(NamedTuple):
-    """A line that is not blank: its number, whether it is a comment, its cells and their number.
-
-    Empty cells at the end are not among `cells`, but count in `width`.
-    """
+    """A line that is not blank; empty cells at the end are only in `width`."""
 
     line: int
     comment: bool
@@ -87,14 +85,11 @@ class Row(NamedTuple):
     width: int
 
 
-def text_of(path: Path) -> str:
-    """Text of a file in UTF-8 or Latin-1.
+def read_rows(path: Path) -> list[Row]:
+    """Rows of a file that are not blank, by the separator that gives most rows of numbers.
 
-    Raises
-    ------
-    OSError
-    InputError
-        For bytes that are no text, and lines too long for a table.
+    Where two do, the earlier is right: in "1,5;2,5" the commas are decimal signs. InputError for
+    what is no text in UTF-8 or Latin-1, and where no row has two numbers.
     """
     check_file(path)
     content = path.read_bytes()
@@ -104,41 +99,29 @@ def text_of(path: Path) -> str:
         text = content.decode("latin-1")
     if re.search("[\x00-\x08\x0e-\x1f]", text):
         raise InputError("not a text file: expected CSV in UTF-8 or Latin-1")
-    for number, line in enumerate(re.split("\r\n|\r|\n", text), 1):
-        if len(line) > WIDEST:  # the time for a heading grows with the square of its blanks
-            raise InputError(f"line {number} has {len(line)} characters: no row of a table")
-    return text
-
-
-def rows_in(text: str) -> list[Row]:
-    """Rows that are not blank, by the separator that gives most rows of numbers.
-
-    Where two do, the earlier is right: in "1,5;2,5" the commas are decimal signs.
-
-    Raises
-    ------
-    InputError
-        If there are no rows of two or more numbers.
-    """
     lines = [(k, s.strip(" ")) for k, s in enumerate(re.split("\r\n|\r|\n", text), 1) if s.strip()]
+    for k, line in lines:
+        if len(line) > WIDEST:  # the time for a heading grows with the square of its blanks
+            raise InputError(f"line {k} has {len(line)} characters: no row of a table")
     lines = [(k, re.sub(r"\s#.*", "", s) if s[0] in "+-.0123456789" else s) for k, s in lines]
-    best, number = None, 0
+    best, most = None, 0
     for separator in (";", "\t", None, ","):
         count = sum(is_numeric(_split(line, separator)) for _, line in lines[:SAMPLE])
-        if count > number:
-            best, number = separator, count
-    if not number:
+        if count > most:
+            best, most = separator, count
+    if not most:
         raise InputError("no rows of two or more numbers")
-    lines = [(k, line.lstrip("#% "), line[0] in "#%") for k, line in lines]
-    rows = [(k, comment, _split(line, best)) for k, line, comment in lines]
+    bare = [line.lstrip("#% ") for _, line in lines]
+    table = [_split(line, best) for line in bare]
     if best is None:  # a heading may hold blanks, and prose as many words as there are columns
-        widths = [len(cells) for _, _, cells in rows if is_numeric(cells)]
-        width = max(set(widths), key=widths.count)
-        rows = [
-            (k, comment, cells if is_numeric(cells) else _heading(line, width))
-            for (k, comment, cells), (_, line, _) in zip(rows, lines, strict=True)
-        ]
-    return [Row(k, comment, _filled(cells), len(cells)) for k, comment, cells in rows]
+        widths = Counter(len(cells) for cells in table if is_numeric(cells))
+        width = widths.most_common(1)[0][0]
+        for k, cells in enumerate(table):
+            table[k] = cells if is_numeric(cells) else _heading(bare[k], width)
+    return [
+        Row(k, line[0] in "#%", _filled(cells), len(cells))
+        for (k, line), cells in zip(lines, table, strict=True)
+    ]
 
 
 def _heading(line: str, width: int) -> list[str]:
@@ -174,7 +157,7 @@ def is_numeric(cells: list[str]) -> bool:
 
 
 def first_of_numbers(rows: list[Row]) -> int:
-    """Place of the first row of numbers that is not a comment; InputError if there is none."""
+    """Place of the first row of numbers that is not a comment."""
     for k, row in enumerate(rows):
         if is_numeric(row.cells) and not row.comment:
             return k
@@ -185,12 +168,7 @@ def numbers_in(rows: list[Row], columns: Mapping[str, int], gaps: bool = False) 
     """(n, k) numbers of columns, each called in messages as it is named here.
 
     The decimal sign is the comma or the point, whichever there is more of. With `gaps` empty cells
-    are nan.
-
-    Raises
-    ------
-    InputError
-        For a cell that is not a finite number.
+    are nan. InputError for a cell that is not a finite number.
     """
     table = [[row.cells[k] if k < len(row.cells) else "" for k in columns.values()] for row in rows]
     marks = [mark for cells in table for cell in cells for mark in cell if mark in ",."]
@@ -219,8 +197,7 @@ def plain(name: str) -> str:
 def name_unit(heading: str) -> tuple[str, str | None]:
     """Plain name and unit of a heading such as Force [kN]."""
     if plain(heading) not in FIRST_NAMES | SECOND_NAMES and len(heading) < 200:
-        for pattern in _NAME_UNIT:
-            match = pattern.fullmatch(heading)
+        for match in (pattern.fullmatch(heading) for pattern in _NAME_UNIT):
             if match:
                 return plain(match[1]), match[2] or None
     return plain(heading), None
@@ -228,17 +205,13 @@ def name_unit(heading: str) -> tuple[str, str | None]:
 
 def known_unit(quantity: str, unit: str) -> str | None:
     """Return the unit as it is spelt here: MM is mm, the other letter µ is the same."""
-    unit = unit.replace("μ", "µ")
-    return {name.casefold(): name for name in UNITS.get(quantity, ())}.get(
-        unit.replace("µ", "u").casefold()
-    )
+    unit = re.sub("[μµ]", "u", unit).casefold()
+    return next((name for name in UNITS.get(quantity, ()) if name.casefold() == unit), None)
 
 
 def name_of(heading: str) -> tuple[str, float]:
     """Name of a column and the factor of its unit; another quantity keeps its heading.
 
-    Examples
-    --------
     >>> name_of("Punch force [kN]"), name_of("shear_angle_deg"), name_of("S12")
     (('force', 1000.0), ('angle', 1.0), ('S12', 1.0))
     """
@@ -266,21 +239,12 @@ def read_table(path: Path, wanted: str = "") -> Columns:
 
     Lengths come in mm, forces in N, energies in mJ, angles in degrees where a heading names its
     unit, else as they stand. Empty cells are nan, rows without a number are left out and counted.
-
-    Parameters
-    ----------
-    path : path
-    wanted : str
-        Heading of the column to be taken as the angle, whatever it is called.
-
-    Raises
-    ------
-    InputError
-        Naming the file and its defect.
+    The column with the heading `wanted` is taken as the angle, whatever it is called. InputError
+    names the file and its defect.
     """
     headings, units, numbers = read_numbers(path)
     found, width = Columns(), numbers.shape[1]
-    try:
+    with naming(path):
         if len(headings) != width:
             such = ", ".join(["x", "y", "z", "angle"][: max(2, min(4, width))])
             raise InputError(f"no line of headings for its {width} columns, such as {such}")
@@ -295,12 +259,9 @@ def read_table(path: Path, wanted: str = "") -> Columns:
             if name in found and name_unit(heading)[0] in SECOND_NAMES:
                 name = heading
             if name in found:
-                raise InputError(
-                    f"two columns of the same meaning: '{heading}' and another ({name})"
-                )
+                words = f"'{heading}' and another ({name})"
+                raise InputError(f"two columns of the same meaning: {words}")
             found[name] = column * factor
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
     return found
 
 
@@ -308,33 +269,25 @@ def read_numbers(path: Path, most: int = WIDEST) -> tuple[list[str], list[str], 
     """Headings, units of the line below them, and numbers (n, k) of the columns of a file.
 
     Only the first columns are read where there are more than `most`; empty cells are nan.
-
-    Raises
-    ------
-    InputError
-        Naming the file and its defect.
+    InputError names the file and its defect.
     """
-    try:
-        rows = rows_in(text_of(path))
+    with naming(path):
+        rows = read_rows(path)
         first = first_of_numbers(rows)
         above = [row.cells for row in rows[:first]]
         below = [row for row in rows[first:] if not row.comment]
         width = min(below[0].width, most)
         units = [""] * width
-        if len(above) > 1 and all(not c or _is_unit(c.strip("[]() ")) for c in above[-1]):
+        if len(above) > 1 and all(not cell or is_unit(cell) for cell in above[-1]):
             units = [cell.strip("[]() ") for cell in above.pop()] + units
         for row in below:
             if min(row.width, most) != width:
-                raise InputError(
-                    f"line {row.line}: {row.width} cells, the first row of numbers has {width}"
-                )
+                words = f"{row.width} cells, the first row of numbers has {width}"
+                raise InputError(f"line {row.line}: {words}")
         numbers = numbers_in(below, {f"column {k + 1}": k for k in range(width)}, gaps=True)
         return (above[-1] if above else []), units[:width], numbers
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from error
-    except (csv.Error, InputError) as error:
-        raise InputError(f"{path}: {error}") from error
 
 
-def _is_unit(word: str) -> bool:
-    return any(known_unit(quantity, word) for quantity in UNITS)
+def is_unit(cell: str) -> bool:
+    """Whether a cell is a unit such as [kN]."""
+    return any(known_unit(quantity, cell.strip("[]() ")) for quantity in UNITS)

@@ -178,14 +178,9 @@ def picture_frame_displacement(gamma: ArrayLike, side: float) -> NDArray:
     Parameters
     ----------
     gamma : array_like, shape (...)
-        Shear angle [rad].
+        Shear angle [rad]; the displacement [mm] has its shape.
     side : float
         Side L of the frame [mm].
-
-    Returns
-    -------
-    ndarray, shape (...)
-        Displacement [mm].
     """
     return 2 * side * np.cos(np.pi / 4 - np.asarray(gamma) / 2) - np.sqrt(2) * side
 
@@ -238,17 +233,8 @@ def heavy_elastica(k: float) -> tuple[float, float, float]:
 def heavy_elastica_shape(k: float, s: ArrayLike) -> tuple[NDArray, NDArray]:
     """Reach and drop over the length L of points on the strip of `heavy_elastica`, shape (...).
 
-    Parameters
-    ----------
-    k : float
-        As in `heavy_elastica`, with the same errors.
-    s : array_like, shape (...)
-        Distances of the points from the clamp along the strip over the length L.
-
-    Raises
-    ------
-    ValueError
-        If a distance is not between 0 and 1.
+    `s` are their distances from the clamp along the strip over L, between 0 and 1, shape (...); `k`
+    and errors as in `heavy_elastica`.
     """
     s = np.asarray(s, dtype=float)
     if not np.all((s >= 0) & (s <= 1)):
@@ -260,15 +246,8 @@ def heavy_elastica_shape(k: float, s: ArrayLike) -> tuple[NDArray, NDArray]:
 def tip_loaded_elastica(k: float) -> tuple[float, float]:
     """Free end of an inextensible cantilever under a load across it; errors as `heavy_elastica`.
 
-    Parameters
-    ----------
-    k : float
-        ``P L^2 / B`` with load P [N], length L [mm], bending stiffness B [N mm^2].
-
-    Returns
-    -------
-    u, w : float
-        Shortening and deflection of the free end over the length L.
+    With ``k = P L^2 / B``, load P [N], length L [mm], bending stiffness B [N mm^2], these are the
+    shortening and the deflection of the end over the length L.
     """
     _, _, x, w = _cantilever(k, np.ones_like).y[:, -1].tolist()
     return 1 - x, w
@@ -287,7 +266,7 @@ def _cantilever(k: float, load_beyond: Callable[[NDArray], NDArray]) -> sp.optim
         c = np.cos(state[0])
         return np.array([state[1], -k * load_beyond(s) * c, c, np.sin(state[0])])
 
-    def clamp_and_free_end(clamp: NDArray, tip: NDArray) -> NDArray:
+    def ends(clamp: NDArray, tip: NDArray) -> NDArray:
         return np.array([clamp[0], tip[1], clamp[2], clamp[3]])
 
     # first guess: a long cantilever under a tip load, theta'' = -k cos(theta), theta -> pi/2
@@ -296,8 +275,7 @@ def _cantilever(k: float, load_beyond: Callable[[NDArray], NDArray]) -> sp.optim
     theta = np.pi / 2 - 4 * np.arctan(decay)
     curvature = 4 * np.sqrt(k) * decay / (1 + decay**2)
     guess = np.array([theta, curvature, s * np.cos(theta), s * np.sin(theta)])
-    settings = {"tol": 1e-9, "max_nodes": 20_000}
-    solution = sp.integrate.solve_bvp(rates, clamp_and_free_end, s, guess, **settings)
+    solution = sp.integrate.solve_bvp(rates, ends, s, guess, tol=1e-9, max_nodes=20_000)
     if not solution.success:
         raise RuntimeError(
             f"elastica with k = {k:g} not solved after {solution.niter} iterations: residual "
@@ -396,14 +374,9 @@ def _integrate(rates, span, start, rtol, atol, events=None) -> sp.integrate.OdeS
 
 
 def strip_friction(mu: float, mass: float) -> float:
-    """Force that pulls a strip out of two plates, ``2 mu m g`` with g = 9.81 m/s^2 [N].
+    """Force ``2 mu m g``, g = 9.81 m/s^2, that pulls a strip out of two plates [N].
 
-    Parameters
-    ----------
-    mu : float
-        Friction coefficient of each face.
-    mass : float
-        Mass that presses the plates together [kg].
+    `mu` is the friction coefficient of each face, `mass` presses the plates together [kg].
     """
     return 2 * mu * mass * 9.81
 
@@ -411,11 +384,6 @@ def strip_friction(mu: float, mass: float) -> float:
 def capstan_ratio(mu: float, angle: ArrayLike) -> NDArray:
     """Larger over smaller pull on a strip that slides over a cylinder, ``exp(mu angle)``.
 
-    Parameters
-    ----------
-    mu : float
-        Friction coefficient.
-    angle : array_like, shape (...)
-        Angle of wrap [rad]; the ratio has its shape.
+    `mu` is the friction coefficient, `angle` that of the wrap, shape (...) [rad].
     """
     return np.exp(mu * np.asarray(angle))

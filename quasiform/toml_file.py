@@ -41,16 +41,7 @@ def _toml(path: str | Path) -> dict[str, Any]:
         raise InputError(f"{error}{_decimal_comma(text, str(error))}") from error
     except ValueError as error:  # of the encoding, of TOML, or of a number with too many digits
         raise InputError(str(error)) from error
-    level: list[Any] = [table]
-    for _ in range(DEEPEST):
-        level = [
-            inner
-            for outer in level
-            for inner in (outer.values() if isinstance(outer, dict) else outer)
-            if _holds_more(inner)
-        ]
-    if level:
-        raise InputError(f"tables and lists nested deeper than {DEEPEST}")
+    _check(table)
     return table
 
 
@@ -68,22 +59,21 @@ def _parts(line: str) -> int:
     return max(sum(map(bool, word.split("."))) for word in words)
 
 
-def _holds_more(value: Any) -> bool:
-    """Whether a value of TOML is a table or list; refuse numbers beyond its 64 bits."""
+def _check(value: Any, depth: int = 0) -> None:
+    """Refuse what is nested too deep, and numbers beyond the 64 bits of TOML."""
     if isinstance(value, int) and not -(2**63) <= value < 2**63:
         raise InputError("an integer that does not fit into 64 bits")
-    return isinstance(value, dict | list)
+    if isinstance(value, dict | list):
+        if depth == DEEPEST:
+            raise InputError(f"tables and lists nested deeper than {DEEPEST}")
+        for inner in value.values() if isinstance(value, dict) else value:
+            _check(inner, depth + 1)
 
 
 def toml_text(table: Mapping[str, Any], comments: Mapping[str, str] | None = None) -> str:
     """Return a table as the text of a TOML file; lists of tables and tables come last.
 
-    Parameters
-    ----------
-    table : mapping
-        Of texts, numbers, truth values, lists, tables.
-    comments : mapping, optional
-        What stands behind a key of the table, on one line.
+    A comment stands behind its key on one line.
     """
     return "\n".join(_lines(table, (), comments or {})).lstrip("\n") + "\n"
 
@@ -94,11 +84,8 @@ def _lines(table: Mapping[str, Any], at: tuple[str, ...], comments: Mapping[str,
         path, comment = (*at, key), comments.get(key, "")
         comment = comment and f"  # {''.join(c if c.isprintable() else ' ' for c in comment)}"
         name = ".".join(map(_key, path))
-        if (
-            isinstance(value, Mapping)
-            and len(path) < 3
-            and not {"value", "standing"} <= value.keys()
-        ):
+        nested = isinstance(value, Mapping) and len(path) < 3
+        if nested and not {"value", "standing"} <= value.keys():
             inner = _lines(value, path, {})
             header = [] if inner and inner[0].startswith("\n[") else [f"\n[{name}]{comment}"]
             tables += header + inner

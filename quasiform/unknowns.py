@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -24,35 +25,24 @@ Unfolding = tuple[Blank, np.ndarray, FloatArray, np.ndarray, FloatArray]
 
 @dataclass(frozen=True, eq=False)
 class Field:
-    """A block of unknowns.
+    """A block of unknowns."""
 
-    Parameters
-    ----------
-    name : str
-        Unique in a table, such as "sheet", "punch" or "sheet slip".
-    dofs : (n_points, n_components) int array
-        Numbers in x.
-    places : (n_points, 2) array, optional
-        Flat places, mm; without them the field is eliminated last and is copied, not interpolated,
-        to another mesh.
-    areas : (n_points,) array, optional
-        Area that a point stands for, mm²; needed with places.
-    scale : float
-        What its derivative counts for in the residual, N per unit of the derivative; 0: nothing.
-    positions : bool
-        Whether these are positions of the nodes of a sheet.
-    """
-
-    name: str
-    dofs: IntArray
+    name: str  # unique in a table, such as "sheet", "punch" or "sheet slip"
+    dofs: IntArray  # (n_points, n_components) numbers in x
+    # (n_points, 2) flat places, mm, and the area of each point, mm²; without them the field is
+    # eliminated last and is copied, not interpolated, to another mesh
     places: FloatArray | None = None
     areas: FloatArray | None = None
-    scale: float = 1.0
-    positions: bool = False
+    scale: float = 1.0  # of its derivative in the residual, N per unit of the derivative; 0: none
+    positions: bool = False  # whether these are positions of the nodes of a sheet
 
     def of(self, x: FloatArray) -> FloatArray:
         """(n_points, n_components) values in x."""
         return x[self.dofs]
+
+    def lengths(self, x: FloatArray) -> FloatArray:
+        """(n_points,) lengths of these."""
+        return np.linalg.norm(self.of(x), axis=1)
 
 
 @dataclass
@@ -70,33 +60,30 @@ class Unknowns:
 
     fields: list[Field] = field(default_factory=list)
 
-    def add(
-        self,
-        name: str,
-        components: int,
-        places: FloatArray | None = None,
-        areas: FloatArray | None = None,
-        scale: float = 1.0,
-        positions: bool = False,
-    ) -> Field:
+    def add(self, name: str, components: int, **given: Any) -> Field:
         """Append a field with `components` numbers a place, or as many numbers without places.
 
-        Raises
-        ------
-        ValueError
-            If the name is taken.
+        Given are its `places`, `areas`, `scale` and `positions`, as in `Field`.
         """
         if any(known.name == name for known in self.fields):
             raise ValueError(f"there is a field '{name}' already")
-        points, each = (components, 1) if places is None else (len(places), components)
-        dofs = self.size + np.arange(points * each).reshape(points, each)
-        self.fields.append(Field(name, dofs, places, areas, scale, positions))
+        places = given.get("places")
+        shape = (components, 1) if places is None else (len(places), components)
+        dofs = self.size + np.arange(np.prod(shape)).reshape(shape)
+        self.fields.append(Field(name, dofs, **given))
         return self.fields[-1]
 
     def sheet(self, blank: Blank, fabric: Fabric, dim: int, turn: float = 0.0, name: str = "sheet"):
         """Append the positions of a sheet's nodes, and return the sheet."""
-        own = self.add(name, dim, blank.nodes, blank.node_areas, positions=True)
+        given = {"places": blank.nodes, "areas": blank.node_areas}
+        own = self.add(name, dim, **given, positions=True)
         return Sheet(name, blank, fabric, own, turn)
+
+    def start(self, sheet: Sheet) -> tuple[FloatArray, np.ndarray, FloatArray]:
+        """Start of a model with its sheet flat, nothing fixed and nothing driven; (n_dofs,)."""
+        x0 = np.zeros(self.size)
+        x0[sheet.dofs[:, :2]] = sheet.blank.nodes
+        return x0, np.zeros(self.size, dtype=bool), np.zeros(self.size)
 
     @property
     def size(self) -> int:
@@ -104,49 +91,41 @@ class Unknowns:
         return sum(known.dofs.size for known in self.fields)
 
     def __getitem__(self, name: str) -> Field:
-        """Return the field of that name."""
         return next(known for known in self.fields if known.name == name)
 
     @property
     def positions(self) -> Iterator[Field]:
-        """The fields that are positions of nodes."""
         return (known for known in self.fields if known.positions)
+
+    def _spread(self, name: str, otherwise: FloatArray) -> FloatArray:
+        """(n_dofs, ...) values of each unknown's place, or what stands for them without one."""
+        found = np.tile(otherwise, (self.size, 1))
+        for known in self.fields:
+            if (values := getattr(known, name)) is not None:
+                found[known.dofs] = values.reshape(len(values), 1, -1)
+        return found
 
     def places(self) -> FloatArray:
         """(n_dofs, 2) flat place of each unknown, mm; nan without one."""
-        found = np.full((self.size, 2), np.nan)
-        for known in self.fields:
-            if known.places is not None:
-                found[known.dofs] = known.places[:, None]
-        return found
+        return self._spread("places", np.full(2, np.nan))
 
     def areas(self) -> FloatArray:
         """(n_dofs,) area that each unknown stands for, mm²; without one that of all positions."""
-        found = np.full(self.size, sum(known.areas.sum() for known in self.positions))
-        for known in self.fields:
-            if known.areas is not None:
-                found[known.dofs] = known.areas[:, None]
-        return found
+        return self._spread("areas", sum(known.areas.sum() for known in self.positions))[:, 0]
 
     def norm(self, r: FloatArray) -> float:
         """Sum of the forces of all points of (n_dofs,) residuals, N."""
-        total = 0.0
-        for known in self.fields:
-            if known.scale:
-                total += known.scale * float(np.linalg.norm(known.of(r), axis=1).sum())
-        return total
+        return sum(k.scale * float(k.lengths(r).sum()) for k in self.fields if k.scale)
 
     def largest(self, r: FloatArray) -> tuple[float, FloatArray]:
         """Largest force at a node, N, and the flat place of that node (2,), mm."""
-        found = []
-        for known in self.positions:
-            force = np.linalg.norm(known.of(r), axis=1)
-            found.append((float(force.max()), known.places[force.argmax()]))
+        forces = [(known.lengths(r), known.places) for known in self.positions]
+        found = [(float(force.max()), places[force.argmax()]) for force, places in forces]
         return max(found, key=lambda entry: entry[0])
 
     def longest(self, d: FloatArray) -> float:
         """Longest motion of a node, mm."""
-        return max(float(np.linalg.norm(known.of(d), axis=1).max()) for known in self.positions)
+        return max(float(known.lengths(d).max()) for known in self.positions)
 
     def at_nodes(self) -> np.ndarray:
         """(n_dofs,) bool array: which unknowns are positions of nodes."""
@@ -158,25 +137,13 @@ class Unknowns:
 
 @dataclass(frozen=True, eq=False)
 class Sheet:
-    """A blank of a fabric, with its place among the unknowns.
-
-    Parameters
-    ----------
-    name : str
-    blank : Blank
-        The part that is modelled.
-    fabric : Fabric
-    field : Field
-        Positions of its nodes; two components in the plane, three in space.
-    turn : float
-        Angle of the model's x axis to the user's, degrees.
-    """
+    """A blank of a fabric, with its place among the unknowns."""
 
     name: str
-    blank: Blank
+    blank: Blank  # the part that is modelled
     fabric: Fabric
-    field: Field
-    turn: float = 0.0
+    field: Field  # positions of its nodes: two components in the plane, three in space
+    turn: float = 0.0  # angle of the model's x axis to the user's, degrees
 
     @property
     def dim(self) -> int:
@@ -187,6 +154,10 @@ class Sheet:
     def dofs(self) -> IntArray:
         """(n_nodes, dim) numbers of the positions in x."""
         return self.field.dofs
+
+    def named(self, term: str) -> str:
+        """Name of a term of this sheet; the only sheet of a model is not named."""
+        return term if self.name == "sheet" else f"{term} of the {self.name}"
 
     def positions(self, x: FloatArray) -> FloatArray:
         """(n_nodes, dim) positions of the nodes, mm."""

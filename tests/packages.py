@@ -93,7 +93,7 @@ def lowest(folder: Path, version: str) -> int:
     pinned = " ".join(bounds)
     commands = (
         f"{scripts}/pip install --quiet {tree} {pinned}",
-        f"{scripts}/pip install --quiet pytest hypothesis {pinned}",
+        f"{scripts}/pip install --quiet pytest hypothesis jsonschema {pinned}",
         f"{scripts}/python -m pytest --quiet {tests}",
     )
     good = [told(f"Python {version}: {plain(c, scripts)}", succeeds(c, tree)) for c in commands]

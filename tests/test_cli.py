@@ -572,14 +572,16 @@ def test_a_stopped_run_is_written_says_so_and_exits_3(capsys, monkeypatch):
 
 @pytest.mark.usefixtures("undrawn")
 def test_the_error_estimate_is_told_if_there_is_one(capsys, monkeypatch):
-    estimate, solve = {"shear_angle_deg": 0.25, "force_N": 1.5}, qf.solve
+    estimate, solve = {"shear_angle_deg": 0.25, "force_N": 112.3}, qf.solve
+    estimate["shear_angle_mean_deg"] = 0.0
     monkeypatch.setattr(
         qf, "solve", lambda scene, *_, **__: replace(solve(scene), estimate=estimate)
     )
     assert main(OAT) == 0
     told = capsys.readouterr().out
-    assert "± 1.5 N" in told
+    assert "± 110 N" in told
     assert "± 0.25, mean" in told
+    assert "± 0 deg" in told
 
 
 # Progress

@@ -181,7 +181,7 @@ def test_expected_time_is_solves_by_their_time(capsys, monkeypatch):
 
 def test_expected_time_may_not_be_known(monkeypatch):
     def singular(*given):
-        raise forecast.NotConvergedError("no stiffness", None, 0.0)
+        raise forecast.NotConvergedError("no stiffness")
 
     monkeypatch.setattr(forecast.Equilibrium, "factor", singular)
     found = forecast.meshes(qf.off_axis_tension(size=40), True)

@@ -368,3 +368,10 @@ def test_identical_runs_count_identical_work():
     assert counts[0] == counts[1]
     assert set(counts[0]) == {"20 mm", "10 mm"} or set(counts[0]) == {"10 mm"}
     assert all(isinstance(n, int) for n in counts[0].values())
+
+
+def test_checkpoint_of_an_older_version_is_refused_with_one_line(tmp_path):
+    head = json.dumps({"recipe": {"command": "form"}, "parameters": {}, "settings": {}})
+    np.savez(tmp_path / "resume.npz", head=np.array(head), x=np.zeros(3))
+    with pytest.raises(qf.InputError, match=r"a record of format 1, this version continues 2"):
+        qf.Journal(tmp_path, resume=True)

@@ -237,11 +237,11 @@ def test_a_blank_at_45_degrees_is_the_square_of_the_user():
         [[155, 0], [-155, 0], [0, 155], [0, -155]],
         atol=1e-9,
     )
-    fields = result.cell_fields(0)
+    fields = result.sheet_at(0).cell_fields
     assert_allclose(fields["warp"], np.broadcast_to([c, c, 0.0], fields["warp"].shape), atol=1e-6)
     # the corners, along warp and weft, are drawn in; the middles of the sides are not
     corner = np.linalg.norm(blank.nodes, axis=1).argmax()
-    moved = result.point_fields()["displacement"][corner]
+    moved = result.sheet.point_fields["displacement"][corner]
     assert -moved @ np.append(blank.nodes[corner], 0.0) / np.hypot(155, 155) > 0.5
     assert max(result.draw_in.values()) < 0.05
 
@@ -287,10 +287,10 @@ def turn_z(c, s):
 
 def test_outline_is_closed_and_runs_around_the_sheet(tmp_path):
     result = formed(orientation=45.0)
-    (loop,) = result.outline()
+    (loop,) = result.sheet.outline
     assert_array_equal(loop[0], loop[-1])
     assert len(np.unique(loop, axis=0)) == len(loop) - 1
-    (flat,) = result.outline(0)
+    (flat,) = result.sheet_at(0).outline
     assert shapely.Polygon(flat[:, :2]).equals_exact(outline.rectangle(310, 310), 1e-6) or (
         shapely.Polygon(flat[:, :2]).symmetric_difference(outline.rectangle(310, 310)).area < 1e-6
     )
@@ -319,7 +319,8 @@ def test_draw_in_of_a_disc_by_direction():
     assert disc.draw_in["+y"] == disc.draw_in["-y"] > 0.05
     # fibres along x and y carry the edge with them there; between them shear lets it stay
     diagonal = np.linalg.norm(disc.blank.nodes - 150.0 * np.sqrt(0.5), axis=1).argmin()
-    assert np.linalg.norm(disc.point_fields()["displacement"][diagonal]) < 0.5 * disc.draw_in["+x"]
+    moved = disc.sheet.point_fields["displacement"][diagonal]
+    assert np.linalg.norm(moved) < 0.5 * disc.draw_in["+x"]
 
 
 def test_a_hole_keeps_its_outline_and_takes_a_mirror_plane_away():
@@ -327,7 +328,7 @@ def test_a_hole_keeps_its_outline_and_takes_a_mirror_plane_away():
     file = changed(blank=Region.of(outline.with_holes(outline.disc(150.0), [hole])))
     result = solved(file, travel=2.0)
     assert result.model.sheet.blank.mirror == ("y",)
-    outer, hole = result.outline()
+    outer, hole = result.sheet.outline
     assert_array_equal(hole[0], hole[-1])
     assert shapely.Polygon(hole[:, :2]).area == pytest.approx(np.pi * 12**2, rel=0.2)
     assert shapely.Polygon(outer[:, :2]).contains(shapely.Polygon(hole[:, :2]))
@@ -633,7 +634,7 @@ def test_supports_fix_the_directions_that_they_name():
 def test_doubts_are_told_by_reason():
     result = formed()
     reasons = ["beyond_identified_range", "unstable_in_shear", "collapsed", "rovings_may_slip"]
-    doubts = result.doubts()
+    doubts = result.sheet.doubts()
     assert list(doubts) == reasons
     assert all(
         flag.dtype == bool and len(flag) == len(result.shear_angle) for flag in doubts.values()
@@ -645,7 +646,7 @@ def test_doubts_are_told_by_reason():
     sheet = result.model.sheet
     sheet = replace(sheet, fabric=replace(sheet.fabric, shear_range=0.5))
     narrow = replace(result.model, sheets=[sheet])
-    beyond = replace(result, model=narrow).doubts()["beyond_identified_range"]
+    beyond = replace(result, model=narrow).sheet.doubts()["beyond_identified_range"]
     assert_array_equal(beyond, np.abs(result.shear_angle) > 0.5)
     assert beyond.any()
 
@@ -657,9 +658,9 @@ def test_doubts_add_up_in_one_field():
     moved = np.linalg.norm(result.model.sheet.blank.nodes - 60.0, axis=1).argmin()
     x[3 * moved : 3 * moved + 2] += 18.0
     folded = replace(result, states=[*result.states[:-1], replace(result.states[-1], x=x)])
-    doubts = folded.doubts()
+    doubts = folded.sheet.doubts()
     assert all(flag.any() and not flag.all() for flag in doubts.values())
-    field = folded.cell_fields()["doubt"]
+    field = folded.sheet.cell_fields["doubt"]
     for value, flag in zip((1, 2, 4, 8), doubts.values(), strict=True):
         assert_array_equal(field.astype(int) & value > 0, flag)
 

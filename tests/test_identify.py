@@ -584,7 +584,7 @@ def test_elements_move_a_parameter_that_the_balance_left_at_zero():
 
 def test_a_test_without_equilibrium_at_the_start_is_refused(monkeypatch):
     def fails(*_):
-        raise NotConvergedError("no equilibrium", np.zeros(1), 1.0)
+        raise NotConvergedError("no equilibrium")
 
     monkeypatch.setattr(Sheet, "states", fails)
     with pytest.raises(InputError, match="a test finds no equilibrium under the law"):

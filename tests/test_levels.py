@@ -130,7 +130,7 @@ def test_a_path_that_stops_is_the_result(monkeypatch):
 
 def test_where_the_end_is_not_found_the_path_is_followed(monkeypatch):
     def settle(run, x):
-        raise levels.NotConvergedError("lost", np.zeros(1), 1.0)
+        raise levels.NotConvergedError("lost")
 
     fresh = qf.solve(qf.forming("hemisphere", size=5, travel=10), estimate=False)
     # after the state has been carried, memory of friction and all
@@ -158,7 +158,7 @@ def test_a_smooth_state_is_carried_exactly_where_cubics_are_exact():
     end.x[:] = coarse.model.x0
     bent = 1e-3 * X[:, 0] ** 2
     end.x[coarse.model.sheet.dofs[:, 2]] += bent
-    last = levels._Motion(coarse.model, np.zeros_like(end.x))
+    last = np.zeros_like(end.x)
     fine = qf.forming("hemisphere", size=10, travel=1)
     x, before = transferred(coarse, fine, last)
     Y = fine.sheet.blank.nodes

@@ -196,7 +196,7 @@ def test_off_axis_tension_with_a_table():
     tabulated, three_stage = (qf.solve(scene, estimate=False) for scene in scenes)
     assert tabulated.status == "completed"
     assert tabulated.force == pytest.approx(three_stage.force, rel=5e-3)
-    json.dumps(tabulated.scene.parameters, allow_nan=False)
+    json.dumps(tabulated.model.parameters, allow_nan=False)
 
 
 def test_invariants_of_a_stretched_and_sheared_fabric():

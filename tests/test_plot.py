@@ -141,7 +141,7 @@ def test_doubts_are_painted_by_reason(results):
     fabric = replace(result.model.sheet.fabric, shear_range=0.5)
     sheet = replace(result.model.sheet, fabric=fabric)
     result = replace(result, model=replace(result.model, sheets=[sheet]))
-    doubts = result.doubts()
+    doubts = result.sheet.doubts()
     assert set(plot.DOUBTS) == set(doubts)
     figure = plot.doubt_figure(result.record)
     sheet, key = figure.axes

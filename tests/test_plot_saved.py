@@ -43,7 +43,7 @@ def test_what_was_saved_is_read_back(pair):
         sheet = run.sheets[k]
         assert_allclose(sheet.points, result.positions(k), atol=1e-9)
         assert_allclose(sheet.shear_angle, result.shear_angles(k), atol=1e-9)
-        for reason, flag in result.doubts(k).items():
+        for reason, flag in result.sheet_at(k).doubts().items():
             assert (sheet.doubts()[reason] == flag).all()
         assert run.upto(k).force == pytest.approx(result.states[k].force, abs=1e-4)
     for family in ("warp", "weft"):
@@ -287,3 +287,21 @@ def test_view_command(folders, tmp_path, monkeypatch, capsys):
     assert main(["view", str(root / "dome")]) == 2
     assert "pip install 'quasiform[report]'" in capsys.readouterr().err
     assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_the_force_after_a_collapse_does_not_set_the_scale(folders):
+    root, _ = folders
+    run = Record.read(root / "dome")
+    force = run.history["force_N"].copy()
+    force[-1] = 1e6
+    broken = replace(
+        run,
+        summary=run.summary | {"collapse": {"travel_mm": 35.0}},
+        history=run.history | {"force_N": force},
+    )
+    axes = pictures.PICTURES["force"]([run, broken], ["a", "b"], 60, []).axes[0]
+    low, high = axes.get_ylim()
+    assert low < 0 < run.force < high < 2 * run.force
+    assert [line.get_label() for line in axes.lines if line.get_linestyle() == ":"] == [
+        "b: collapsed"
+    ]

@@ -28,8 +28,8 @@ from quasiform.scenes.scene_file import (
     load,
     scene_toml,
 )
-from quasiform.scenes.scene_parts import SHAPES
 from quasiform.schema import STANDINGS
+from quasiform.tools.part import SHAPES
 from quasiform.tools.shapes import (
     Placed,
     Plane,

@@ -59,7 +59,7 @@ def test_collapse_is_flagged_and_passed():
     assert result.status == "completed"
     assert 20 < result.collapse["travel_mm"] < 26
     assert "collapsed" in str(result.certified)
-    assert all(np.isfinite(values).all() for values in result.cell_fields().values())
+    assert all(np.isfinite(values).all() for values in result.sheet.cell_fields.values())
 
 
 def test_a_sheet_without_bending_stiffness_is_refused():

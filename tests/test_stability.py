@@ -140,7 +140,7 @@ def test_rungs_are_climbed_in_order_and_change_nothing_in_the_end(monkeypatch):
 
             def fails(equations, x, travel):
                 monkeypatch.setattr(running, "predict", predict)
-                raise NotConvergedError("made to fail", x, 1.0)
+                raise NotConvergedError("made to fail")
 
             monkeypatch.setattr(running, "predict", fails)
             if rungs:
@@ -161,7 +161,7 @@ def test_rungs_are_climbed_in_order_and_change_nothing_in_the_end(monkeypatch):
 def test_where_every_rung_fails_the_run_stops_and_says_where(monkeypatch):
     def fails(self, x):
         if self.equations.travel > 12:
-            raise NotConvergedError("made to fail", x, 1.0)
+            raise NotConvergedError("made to fail")
         return settle(self.equations, x)
 
     monkeypatch.setattr(running.Run, "_solve", fails)

@@ -1,10 +1,11 @@
 """Quick validation cases pass, and the suite reports what does not."""
 
+import json
 import re
 
 import pytest
 
-from validation import run
+from validation import frozen, mutations, run
 from validation.apart import outcome
 from validation.bands import (
     FAILED,
@@ -140,3 +141,71 @@ def test_interrupted_run_leaves_a_report(monkeypatch, capsys, tmp_path):
     assert run.main(["oat_45", "oat_30", "--out", str(tmp_path)]) == 3
     assert "1 of 2 cases" in capsys.readouterr().out
     assert "not run yet" in (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
+def test_unknown_and_missing_columns_are_refused(tmp_path):
+    file = tmp_path / "reference.csv"
+    header = "name,value,tolerance,unit,standing,source"
+    for text, message in (
+        (f"{header},sources\nx,1,1%,N,exact,none,\n", "unknown column sources, expected name, "),
+        ("name,value\nx,1\n", "row 1: no column tolerance, unit, standing, source"),
+        (f"{header},name\nx,1,1%,N,exact,none,x\n", "expected unique column names"),
+    ):
+        file.write_text(text, encoding="utf-8")
+        with pytest.raises(ValueError, match=message):
+            read_table(file, Reference)
+
+
+@pytest.mark.parametrize(
+    ("change", "snaps", "status"), [(0.0, 0, 0), (1e-10, 0, 0), (1e-8, 0, 1), (1e-8, 1, 0)]
+)
+def test_frozen_results_differ_beyond_round_off(change, snaps, status, tmp_path, capsys):
+    files = []
+    for name, factor in (("a.json", 1.0), ("b.json", 1.0 + change)):
+        run = {"history": {"force_N": [0.0, 2.0 * factor]}, "quantities": {"x": None}}
+        files.append(tmp_path / name)
+        files[-1].write_text(json.dumps({"box": run | {"snaps": snaps}}))
+    assert frozen.main(["compare", *map(str, files)]) == status
+    said = capsys.readouterr().out
+    assert ("snap: not judged" in said) == bool(snaps)
+    assert ("history force_N" in said) == bool(change)
+
+
+def test_frozen_results_that_cannot_be_compared_differ(tmp_path):
+    run = {"history": {"force_N": [1.0]}, "quantities": {}, "snaps": 0}
+    for other in ({}, {"box": run | {"history": {}}}, {"box": run | {"quantities": {"x": 1.0}}}):
+        assert frozen.compare({"box": run}, other) == 1
+
+
+def test_mutants_are_signs_comparisons_and_bounds():
+    source = """LIMIT = 1e-3  # µ
+def f(x: int = -1) -> float:
+    if x[-1] <= 0 and "a" + "b":
+        raise ValueError(1 + 1)
+    x += max(x, 2)
+    return -x - 0.5 * x[0:3]
+"""
+    found = mutations.mutants("f.py", source.encode())
+    assert [(m.line, m.after) for m in found] == [
+        (1, "LIMIT = 0.01  # µ"),
+        (3, 'if x[-1] > 0 and "a" + "b":'),
+        (3, 'if x[-1] <= 1 and "a" + "b":'),
+        (5, "x -= max(x, 2)"),
+        (5, "x += max(x, 3)"),
+        (6, "return +x - 0.5 * x[0:3]"),
+        (6, "return -x + 0.5 * x[0:3]"),
+    ]
+    for m in found:
+        changed = source.encode()[: m.start] + m.new.encode() + source.encode()[m.end :]
+        assert changed.decode().splitlines()[m.line - 1].strip() == m.after
+
+
+def test_mutants_are_drawn_in_the_same_order_without_equivalent_ones():
+    drawn = mutations.draw(0)
+    assert drawn == mutations.draw(0)
+    assert drawn != mutations.draw(1)
+    listed = mutations.Path(mutations.__file__).with_name("equivalent_mutants.csv")
+    known = read_table(listed, mutations.Equivalent, keyed=False)
+    assert not {(m.file, m.before, m.after) for m in drawn} & {
+        (row.file, row.before, row.after) for row in known
+    }

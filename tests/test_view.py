@@ -39,7 +39,7 @@ def test_mesh_is_the_sheet(result):
     assert sheet.customdata[:, 0] == pytest.approx(result.shear_angle, abs=1e-4)
     middle = result.blank.nodes[result.blank.triangles].mean(1)
     assert sheet.customdata[:, 1:3] == pytest.approx(middle, abs=1e-4)
-    assert sheet.customdata[:, 3] == pytest.approx(result.cell_fields()["E11"], abs=1e-6)
+    assert sheet.customdata[:, 3] == pytest.approx(result.sheet.cell_fields["E11"], abs=1e-6)
     assert sheet.cmin == 0
     assert sheet.cmax in SCALES
 
@@ -51,7 +51,7 @@ def test_an_earlier_state_is_another_sheet(formed):
 
 
 def test_collapsed_triangles_are_marked(pulled, formed):
-    collapsed = pulled.doubts()["collapsed"]
+    collapsed = pulled.sheet.doubts()["collapsed"]
     assert collapsed.any()
     traces = {trace.name: trace for trace in view.figure(pulled.record).data}
     assert len(traces["collapsed"].i) == collapsed.sum()

@@ -2,7 +2,7 @@
 
     python -m validation.mutations --seed 0 --count 30 [--out mutations.csv] [--processes 2]
 
-The changes ("mutants") are drawn from the energies, net, tools, solver and model. Each is written
+The changes ("mutants") are drawn from energies, net, tools, solver and model. Each is written
 into a temporary copy of the checkout, where the tests run until the first failure: those of
 `GUARDS` first, then the others. A mutant is killed if a test fails, or if the tests take too long.
 Mutants that give the same results as the code are listed in `equivalent_mutants.csv`; others are
@@ -38,7 +38,7 @@ from .bands import Text
 from .tables import read_table
 
 ROOT = Path(__file__).resolve().parents[1]
-PLACES = ("energy", "net", "tools", "solve", "model.py")
+PLACES = ("energy", "net", "tools", "solve", "model.py", "potential.py", "unknowns.py")
 GUARDS = {  # tests that run first, by the beginning of a file's path
     "quasiform/energy/friction": ("energy", "oracle", "friction_scenes", "resume"),
     "quasiform/energy/contact": ("energy", "oracle", "forming", "friction_scenes"),
@@ -52,7 +52,9 @@ GUARDS = {  # tests that run first, by the beginning of a file's path
     "quasiform/solve/levels": ("levels", "solve"),
     "quasiform/solve/proximal": ("stability", "solve"),
     "quasiform/solve/journal": ("resume", "solve"),
-    "quasiform/solve": ("solve", "stability", "levels", "flow", "resume"),
+    "quasiform/solve": ("contract", "solve", "stability", "levels", "resume"),
+    "quasiform/potential": ("energy", "linear", "contract"),
+    "quasiform/unknowns": ("linear", "solve", "contract", "levels"),
     "quasiform/model": ("forming", "solve", "energy", "levels"),
 }
 OPERATORS = {  # text of an operator, and of the one that replaces it

@@ -331,6 +331,8 @@ def _of_inp(path: Path, reading: Reading) -> FormedSheet:
 
 def _of_table(path: Path, reading: Reading) -> Side:
     table = read_table(path, reading.column)
+    left = table.left_out
+    notes = (f"rows without a number, left out: {left}",) if left else ()
     if "loop" in table:  # the outer outline; holes follow it
         first = table["loop"] == table["loop"][0]
         table = {name: column[first] for name, column in table.items()}
@@ -363,7 +365,7 @@ def _of_table(path: Path, reading: Reading) -> Side:
     else:
         angle = {ANGLE: reading.gamma(table["angle"])}
         sheet = FormedSheet(formed, flat=flat, point_fields=angle)
-    return Side(path.stem, Sheets([reading.travel], lambda _: sheet))
+    return Side(path.stem, Sheets([reading.travel], lambda _: sheet), notes=notes)
 
 
 def _closes(plan: FloatArray) -> bool:

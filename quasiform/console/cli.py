@@ -12,7 +12,7 @@ import re
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
-from dataclasses import asdict, astuple, dataclass
+from dataclasses import asdict, astuple, dataclass, replace
 from importlib import import_module
 from importlib.util import module_from_spec, spec_from_file_location
 from itertools import count
@@ -196,8 +196,7 @@ class Output:
 
     out: Folder | None = None
     """Folder of the result; by default a new one, named after the case."""
-    force: bool = False
-    """Replace the result in --out."""
+    force: Annotated[bool, about("Replace the result in --out.")] = False
 
     def folder(self, name: str, files: Sequence[str]) -> Path:
         """Folder to write to; refused where it holds one of the files."""
@@ -230,15 +229,12 @@ class Solver(Output):
 class Scene:
     """What can be changed of a forming scene; by default its own values."""
 
-    orientation: Angle | None = None
-    """Angle from x to the warp."""
-    law: Law | None = None
-    """Fabric: locking, best-fit or FILE.toml."""
+    orientation: Annotated[Angle | None, about("Angle from x to the warp.")] = None
+    law: Annotated[Law | None, about("Fabric: locking, best-fit or FILE.toml.")] = None
     size: Annotated[Length | None, Parameter(group=MESH)] = None
     """Spacing of the fibre lines. `form` then follows the whole path on this mesh; by default the
     end is solved at the scene's size, or 5, and the path on a coarser mesh."""
-    travel: Length | None = None
-    """Travel of the punch."""
+    travel: Annotated[Length | None, about("Travel of the punch.")] = None
     symmetry: Literal["auto", "none"] | None = None
     """Model a half or a quarter where everything is mirrored (auto), or always the whole."""
 
@@ -290,20 +286,14 @@ class Tests:
     """Parameters that are not fitted, such as C_lo=1000,I_lo=0.819."""
     algorithm: Literal["least-squares", "nelder-mead"] | None = None
     """Of the fit (least-squares)."""
-    name: str | None = None
-    """Of the fabric; by default the file's."""
+    name: Annotated[str | None, about("Of the fabric; by default the file's.")] = None
     kind: Literal["off-axis", "picture-frame"] | None = None
     """Kind of the test in a CSV file (off-axis)."""
-    angle: Degrees | None = None
-    """Angle between load and warp (45)."""
-    length: Length | None = None
-    """Free length of the strip (320)."""
-    width: Length | None = None
-    """Width of the strip (160)."""
-    side: Length | None = None
-    """Side of the picture frame (100)."""
-    thickness: Length | None = None
-    """Of the fabric (1.004)."""
+    angle: Annotated[Degrees | None, about("Angle between load and warp (45).")] = None
+    length: Annotated[Length | None, about("Free length of the strip (320).")] = None
+    width: Annotated[Length | None, about("Width of the strip (160).")] = None
+    side: Annotated[Length | None, about("Side of the picture frame (100).")] = None
+    thickness: Annotated[Length | None, about("Of the fabric (1.004).")] = None
     size: Length | None = None
     """Method inverse: cell edge of the finite-element test (14)."""
     columns: Columns | None = None
@@ -344,24 +334,18 @@ def identify(
 class Reference:
     """How a reference is read and compared."""
 
-    field: str | None = None
-    """Field or column of the angle, or none."""
+    field: Annotated[str | None, about("Field or column of the angle, or none.")] = None
     angle: Literal["shear", "between"] | None = None
     """What it is: the shear angle (default), or the angle between the fibres."""
-    radians: bool = False
-    """The angle is in radians."""
-    signed: bool = False
-    """The sign of the angle counts."""
+    radians: Annotated[bool, about("The angle is in radians.")] = False
+    signed: Annotated[bool, about("The sign of the angle counts.")] = False
     orientation: Angle | None = None
     """Angle from x to the reference's warp, where only its displacements are known (0)."""
-    values: File | None = None
-    """CSV by node or element label for an .inp."""
+    values: Annotated[File | None, about("CSV by node or element label for an .inp.")] = None
     coordinates: Literal["formed", "flat"] | None = None
     """What the coordinates of the reference are."""
-    history: File | None = None
-    """CSV of the reference's travel and force."""
-    scale: Factor | None = None
-    """Unit of the reference's lengths in mm (1)."""
+    history: Annotated[File | None, about("CSV of the reference's travel and force.")] = None
+    scale: Annotated[Factor | None, about("Unit of the reference's lengths in mm (1).")] = None
     force_factor: Factor | None = None
     """Of the reference's forces: 4 for those of a quarter (1)."""
     travel: Length | None = None
@@ -372,10 +356,8 @@ class Reference:
     """Points farther than this from the other sheet are not compared."""
     band_angle: Degrees | None = None
     """Largest difference of the shear angle on 95 % of the area."""
-    band_outline: Length | None = None
-    """Largest distance of the outlines."""
-    band_force: Percent | None = None
-    """Largest difference of the force."""
+    band_outline: Annotated[Length | None, about("Largest distance of the outlines.")] = None
+    band_force: Annotated[Percent | None, about("Largest difference of the force.")] = None
     by: Literal["auto", "flat", "formed"] | None = None
     """Coordinates by which points are matched; auto: flat if both have them."""
     align: Literal["none", "shift", "rigid"] | None = None
@@ -447,7 +429,12 @@ def export(
 
     path, force = Path(source), output.force
     if deck:
-        _deck(qf.forming(source, *astuple(options)), output)
+        model = qf.forming(source, *astuple(options))
+        file = f"{_case(model.name)}.inp"
+        folder = output.folder(f"{model.name}-deck", (file,))
+        terminal.say(f"writing to {folder}")
+        notes = qf.abaqus_deck(model, folder / file, force=force)
+        terminal.say(*terminal.notes(notes), terminal.files(folder, (file,)))
     elif trim:
         folder = output.folder(f"{path.resolve().name}-pattern", pattern.FILES)
         found = qf.flat_pattern(path, trim, within=within, scale=scale)
@@ -463,14 +450,6 @@ def export(
         terminal.say(f"writing to {folder}")
         terminal.say(*terminal.notes(handed.notices, handed.general, handover.NOTES))
         terminal.say(terminal.files(folder, handed.files))
-
-
-def _deck(model: qf.Model, output: Output) -> None:
-    file = f"{_case(model.name)}.inp"
-    folder = output.folder(f"{model.name}-deck", (file,))
-    terminal.say(f"writing to {folder}")
-    notes = qf.abaqus_deck(model, folder / file, force=output.force)
-    terminal.say(*terminal.notes(notes), terminal.files(folder, (file,)))
 
 
 @app.command
@@ -567,14 +546,14 @@ def new(
     force: Annotated[bool, about("Replace the file.")] = False,
 ) -> None:
     """Write a commented scene file to start from; it runs as it is."""
+    from ..result.files import writing_to
+
     if file.suffix != ".toml":
         raise InputError(f"{file}: expected the name of a .toml file")
     template = (Path(__file__).parent / "new.toml").read_text(encoding="utf-8")
-    try:
-        text = template.replace("NAME", _case(file.stem))
+    text = template.replace("NAME", _case(file.stem))
+    with writing_to(file):
         Output(force=force).file(file).write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"cannot write to {file}: {error.strerror or error}") from error
     terminal.say(f"file: {file}", f"look at it: quasiform form {file} --dry-run")
 
 
@@ -659,7 +638,7 @@ def _run(model: qf.Model, journal: qf.Journal) -> int:
         try:
             qf.spread(result, range(1, options["seeds"] + 1))
         except KeyboardInterrupt:
-            result.reason = "interrupted while perturbed starts were solved"
+            result = replace(result, reason="interrupted while perturbed starts were solved")
         journal.close(result)
     terminal.say(terminal.report(result, perf_counter() - clock))
     if (folder / RESUME).exists():

@@ -13,11 +13,8 @@ from scipy.sparse import csr_array
 
 from ..solve.linear import linear_solver
 
-PACKAGES = ("numpy", "scipy", "scikit-fem", "pyamg", "meshio", "shapely", "matplotlib", "cyclopts")
-SOLVERS = {
-    "pardiso": "the fastest",
-    "superlu": "scipy's",
-}
+PACKAGES = ("numpy", "scipy", "scikit-fem", "meshio", "shapely", "matplotlib", "cyclopts")
+SOLVERS = {"pardiso": "the fastest", "superlu": "scipy's"}
 EXTRAS = {"pardiso": "pip install 'quasiform[fast]'"}  # where the fault does not say so
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 PARTS = {  # name: (module, what for, extra)

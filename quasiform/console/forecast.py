@@ -44,13 +44,17 @@ def meshes(
     `refine` does; `seeds` perturbed runs of the path come after it.
     """
     path = (WITH_TOOLS if model.contacts else IN_PLANE) * max(model.travel / model.increment, 1.0)
-    models = _coarser(model, one_mesh)
-    if one_mesh:  # the path on all, the coarser ones for the error estimate
+    models, coarsest = [model], model.coarsest * (1 + 1e-9)
+    with suppress(InputError):  # too coarse for the blank
+        while not model.changed and (len(models) < 3 or not one_mesh):
+            size = 2 * models[-1].size
+            if size > coarsest and len(models) > 1:
+                break
+            models.append(model.recipe.build(size, like=model))
+    if one_mesh or 2 * model.size > coarsest:  # the coarser ones are for the error estimate
         solves = [path] * len(models)
     else:
         solves = [CARRIED] * (len(models) - 1) + [path]
-        if len(models) == 1 and (coarse := _resized(model, 2 * model.size)):
-            models, solves = [model, coarse], [path, path]
     solves[0 if solves[0] == path else -1] += seeds * path
     try:
         return tuple(
@@ -59,27 +63,6 @@ def meshes(
         )
     except NotConvergedError:
         return None
-
-
-def _coarser(model: Model, one_mesh: bool) -> list[Model]:
-    """Return the model and those on coarser meshes that are solved with it."""
-    models = [model]
-    while len(models) < 3 or not one_mesh:
-        size = 2 * models[-1].size
-        needed = one_mesh and len(models) == 1  # else no estimate
-        if size > model.coarsest * (1 + 1e-9) and not needed:
-            break
-        if not (coarse := _resized(model, size)):
-            break
-        models.append(coarse)
-    return models
-
-
-def _resized(model: Model, size: float) -> Model | None:
-    """Return the model at another size; None where that is too coarse for the blank."""
-    with suppress(InputError):
-        return None if model.changed else model.recipe.build(size, like=model)
-    return None
 
 
 def words(found: tuple[Mesh, ...] | None) -> str:
@@ -120,7 +103,7 @@ def _step(model: Model, linear: str) -> float:
         clock = time.perf_counter()
         equations.factor(x, 1.0)
         g = equations.potential.gradient(x, equations.memory)
-        equations.direction(x, g[equations.free])
+        equations.tangent.solve(g[equations.free])
         for term, state in zip(model.terms, equations.memory, strict=True):
             term.energy(x, state)
         taken.append(time.perf_counter() - clock)

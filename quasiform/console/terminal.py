@@ -97,8 +97,8 @@ def report(result: Result, seconds: float) -> str:
 
 
 def _numbers(summary: Mapping[str, Any]) -> dict[str, str]:
-    errors = {name: error for name, error in summary["estimated_errors"].items() if error}
-    off = {name: f" ± {number(error, 2)}" for name, error in errors.items()}
+    errors = summary["estimated_errors"].items()
+    off = {name: f" ± {number(error, 2)}" for name, error in errors if error is not None}
     gamma = summary["shear_angle_deg"]
     rows = {
         "force": f"{number(summary['force_N'])}{off.get('force_N', '')} N",
@@ -127,7 +127,7 @@ def _errors(result: Result, summary: Mapping[str, Any]) -> dict[str, str]:
         if result.reason or result.collapse:
             why = "the run stopped early" if result.reason else "the sheet has collapsed"
         rows["error estimate"] = f"none: {why}"
-    elif summary["error_estimate"]["shear_angle_deg"] > WIDE:
+    elif (summary["error_estimate"]["shear_angle_deg"] or 0.0) > WIDE:
         finer = "--accuracy 1 or a smaller" if result.model.contacts else "a smaller"
         rows["error estimate"] = f"large: {finer} --size reduces it"
     doubtful = {k: v for k, v in summary["doubtful_share"].items() if v >= 0.005}
@@ -209,12 +209,8 @@ def identified(found: Identification) -> str:
         lines.append(f"  first stage to {first:.1f} degrees, third from {third:.1f} degrees")
     read = {notice for test in found.campaign.shear for notice in test.curve.notices}
     lines += [f"  note: {notice}" for notice in found.notices if notice not in read]
-    rows = [
-        (p.name, number(p.value, 5), p.unit, _interval(p.low, p.high), p.state)
-        for p in found.parameters
-    ]
+    rows = []
+    for p in found.parameters:
+        interval = f"{number(p.low)} to {number(p.high)}" if p.low == p.low else "-"
+        rows.append((p.name, number(p.value, 5), p.unit, interval, p.state))
     return "\n".join(["identified, with 95 % intervals", table(rows, 2), *lines])
-
-
-def _interval(low: float, high: float) -> str:
-    return f"{number(low)} to {number(high)}" if low == low else "-"

@@ -13,10 +13,18 @@ import textwrap
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import shapely
+from matplotlib import rc_context
+from matplotlib.animation import FFMpegWriter, PillowWriter
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection
+from matplotlib.colors import to_rgba
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from ..checks import InputError, suggestion
 from ..net.blank import rotation
@@ -25,12 +33,8 @@ from ..result.record import Record
 from ..scenes.forming import forming
 from . import plot
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.figure import Figure
-
 FloatArray = np.ndarray
+Runs, Labels = Sequence[Record], Sequence[str]
 ABREAST = 3  # runs in a row of pictures
 TALLEST = 4.6  # inches: width of axes beyond which a sheet is not drawn larger
 INKS = ("#000000", "#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00")
@@ -48,38 +52,17 @@ FILES = (
 
 
 def save(
-    runs: Sequence[Record],
+    runs: Runs,
     folder: str | Path,
     only: Sequence[str] | None = None,
     end: float | None = None,
     animate: str | None = None,
 ) -> list[str]:
-    """Write pictures of runs into an existing folder.
+    """Write pictures of runs, each at its last sheet, into an existing folder.
 
-    Parameters
-    ----------
-    runs : list of Record
-        Each is shown at its last sheet (`Record.near` chooses another).
-    folder : path
-    only : list of str, optional
-        Which of `PICTURES`; all of them if not given.
-    end : float, optional
-        End of the colour scale, degrees.
-    animate : "gif" or "mp4", optional
-        Also write the travel as an animation.
-
-    Returns
-    -------
-    notes : list of str
-        What could not be drawn, and why.
-
-    Raises
-    ------
-    InputError
-        For an unknown picture, a broken file, or an mp4 without ffmpeg.
+    `only` names some of `PICTURES`, `end` is that of the colour scale (degrees), and `animate` is
+    "gif" or "mp4". Returns what could not be drawn, and why.
     """
-    from matplotlib import rc_context
-
     for name in only or ():
         if name not in PICTURES:
             raise InputError(f"unknown picture '{name}': {suggestion(name, PICTURES)}")
@@ -98,19 +81,14 @@ def save(
 
 
 def check_animation(kind: str | None) -> None:
-    """Refuse an animation that cannot be written here.
-
-    Raises
-    ------
-    InputError
-    """
+    """Refuse an animation that cannot be written here."""
     if kind not in (None, "gif", "mp4"):
         raise InputError(f"animate must be 'gif' or 'mp4', got {kind!r}")
     if kind == "mp4" and shutil.which("ffmpeg") is None:
         raise InputError("an mp4 needs ffmpeg, which was not found: use gif")
 
 
-def table(runs: Sequence[Record]) -> list[list[str]]:
+def table(runs: Runs) -> list[list[str]]:
     """Key numbers of several runs: a row of headings, then one a run."""
     rows = [{"result": label} | _row(run) for label, run in zip(_labels(runs), runs, strict=True)]
     names = list(dict.fromkeys(name for row in rows for name in row))
@@ -135,45 +113,36 @@ def _row(run: Record) -> dict[str, str]:
         numbers["certified"] = "yes" if run.certified else "no", "s"
     numbers["linear_solves"] = summary.get("linear_solves"), "g"
     numbers["wall_s"] = summary.get("wall_s"), ".1f"
-    return {"case": run.case, "fabric": str(run.fabric.get("name", "unknown"))} | {
-        name: format(value, form) if _known(value) else "-"
-        for name, (value, form) in numbers.items()
-    }
+    row = {"case": run.case, "fabric": run.fabric_name}
+    for name, (value, form) in numbers.items():
+        known = isinstance(value, str) or (isinstance(value, int | float) and np.isfinite(value))
+        row[name] = format(value, form) if known else "-"
+    return row
 
 
-def _known(value: Any) -> bool:
-    """Whether a cell of the table has something to show."""
-    return isinstance(value, str) or (isinstance(value, int | float) and np.isfinite(value))
-
-
-def _labels(runs: Sequence[Record]) -> list[str]:
+def _labels(runs: Runs) -> list[str]:
     """Names of the folders; of equal ones the paths."""
     names = [run.name for run in runs]
-    return [
-        name if names.count(name) == 1 else str(run.folder)
-        for name, run in zip(names, runs, strict=True)
-    ]
+    return [run.name if names.count(run.name) == 1 else str(run.folder) for run in runs]
 
 
-def scale_end(runs: Sequence[Record]) -> float:
+def scale_end(runs: Runs) -> float:
     """End of the colour scale: a round angle that no triangle and no locking angle passes."""
     locking = max(run.locking or 0.0 for run in runs)
     return plot.scale_end([run.sheet for run in runs], least=locking)
 
 
 def _grid(count: int, *frames: FloatArray, below: float = 0.8) -> tuple[Figure, np.ndarray]:
-    """A figure of the text width with axes for each of the frames, one above the other, by run.
+    """A figure of the text width, and by run axes that hold the points (n, 2+) of each frame.
 
-    Frames (n, 2 or more) are points that all runs' axes of a kind hold; below them all there is
-    room, inches.
+    `below` is the room under them all, inches.
     """
     columns = min(count, ABREAST)
     blocks = -(-count // columns)
     heights = [_height(frame, plot.WIDTH / columns) for frame in frames]
     figure = plot.new_figure((sum(heights) + 0.62) * blocks + below)
-    axes = figure.subplots(
-        blocks * len(frames), columns, squeeze=False, height_ratios=heights * blocks
-    )
+    shape = {"nrows": blocks * len(frames), "ncols": columns, "squeeze": False}
+    axes = figure.subplots(**shape, height_ratios=heights * blocks)
     axes = axes.reshape(blocks, len(frames), columns).transpose(0, 2, 1).reshape(-1, len(frames))
     for spare in axes[count:].ravel():
         spare.axis("off")
@@ -186,7 +155,7 @@ def _height(frame: FloatArray, width: float) -> float:
     return min(width, TALLEST) * (up + 0.18 * max(across, up)) / (1.06 * max(across, 0.8 * up))
 
 
-def _common(runs: Sequence[Record]) -> FloatArray:
+def _common(runs: Runs) -> FloatArray:
     """Points of all runs in their views, for panels of one scale."""
     return np.vstack([run.sheet.points @ plot.view_of(run)[0].T for run in runs])
 
@@ -194,8 +163,7 @@ def _common(runs: Sequence[Record]) -> FloatArray:
 def _head(
     axes: Axes, label: str, run: Record, *, force: bool = True, turned_over: bool = False
 ) -> None:
-    words = f"{run.travel_name.removesuffix('_mm').replace('_', ' ')} "
-    words += f"{run.travel:.4g} mm, |γ| max {np.abs(run.sheet.shear_angle).max():.1f}°"
+    words = f"{plot.travel_of(run)}, |γ| max {np.abs(run.sheet.shear_angle).max():.1f}°"
     if force and np.isfinite(run.force):
         words += f"\nforce {round(run.force, 3) + 0.0:.4g} N"
     if turned_over:
@@ -203,12 +171,8 @@ def _head(
     axes.set_title("\n".join(textwrap.wrap(label, 40)) + "\n" + words, parse_math=False)
 
 
-def _shear_angles(
-    runs: Sequence[Record], labels: Sequence[str], end: float, notes: list[str]
-) -> Figure:
+def _shear_angles(runs: Runs, labels: Labels, end: float, notes: list[str]) -> Figure:
     """Formed sheets in space and seen along z, with the line at the locking angle."""
-    from matplotlib.collections import LineCollection
-
     plane = all(run.in_plane for run in runs)
     colours, room = plot.colour_scale(runs, end), _common(runs)
     plan = np.vstack([p for run in runs for p in (run.sheet.points[:, :2], run.sheet.flat)])
@@ -230,26 +194,15 @@ def _shear_angles(
     return figure
 
 
-def _draw_scale(
-    figure: Figure, grid: np.ndarray, runs: Sequence[Record], colours: ScalarMappable
-) -> None:
+def _draw_scale(figure: Figure, grid: np.ndarray, runs: Runs, colours: ScalarMappable) -> None:
     """Horizontal scale of colours below all axes, with the locking angles marked."""
-    bar = plot.draw_colour_bar(
-        figure,
-        colours,
-        ax=grid.ravel().tolist(),
-        orientation="horizontal",
-        fraction=0.05,
-        shrink=0.6 if len(grid) > 1 else 0.9,
-        aspect=40,
-    )
-    end = colours.norm.vmax
-    for angle in sorted({round(run.locking, 3) for run in runs if run.locking}):
-        if angle > end:
-            continue
-        bar.axvline(angle, color="black", linewidth=2.4)
-        bar.axvline(angle, color="white", linewidth=1.0)
-        above = {"xycoords": "axes fraction", "textcoords": "offset points", "va": "bottom"}
+    place = {"orientation": "horizontal", "fraction": 0.05, "aspect": 40}
+    place |= {"ax": grid.ravel().tolist(), "shrink": 0.6 if len(grid) > 1 else 0.9}
+    bar, end = plot.draw_colour_bar(figure, colours, **place), colours.norm.vmax
+    above = {"xycoords": "axes fraction", "textcoords": "offset points", "va": "bottom"}
+    for angle in {round(run.locking, 3) for run in runs if run.locking and run.locking <= end}:
+        for ink, width in (("black", 2.4), ("white", 1.0)):
+            bar.axvline(angle, color=ink, linewidth=width)
         words = f"locking {angle:.0f}°"
         bar.annotate(words, (angle / end, 1.0), (0, 3), **plot.MIDDLE | above)
 
@@ -257,21 +210,9 @@ def _draw_scale(
 def level_lines(
     x: FloatArray, triangles: np.ndarray, values: FloatArray, levels: Sequence[float]
 ) -> FloatArray:
-    """Lines on which a function, linear in each triangle, has one of some values.
+    """Segments (k, 2, d) on which a function, linear in each triangle, has one of some values.
 
-    Parameters
-    ----------
-    x : (n, d) array
-        Points.
-    triangles : (m, 3) int array
-    values : (n,) array
-        Of the function at the points.
-    levels : list of float
-
-    Returns
-    -------
-    (k, 2, d) array
-        Segments, one for each triangle and each level that crosses it.
+    x (n, d) are the points and values (n,) those of the function there.
 
     Examples
     --------
@@ -286,23 +227,20 @@ def level_lines(
         alone = (above.sum(1) == 1)[:, None] == above
         crossed = above.any(1) & ~above.all(1)
         first = alone[crossed].argmax(1)
-        corners = triangles[crossed][
-            np.arange(len(first))[:, None], (first[:, None] + range(3)) % 3
-        ]
+        corners = np.take_along_axis(triangles[crossed], (first[:, None] + range(3)) % 3, axis=1)
         f = values[corners]
         share = ((level - f[:, :1]) / (f[:, 1:] - f[:, :1]))[:, :, None]
         segments.append((1 - share) * x[corners[:, :1]] + share * x[corners[:, 1:]])
     return np.concatenate(segments)
 
 
-def _fibres(runs: Sequence[Record], labels: Sequence[str], end: float, notes: list[str]) -> Figure:
+def _fibres(runs: Runs, labels: Labels, end: float, notes: list[str]) -> Figure:
     """Warp and weft on the formed sheet, at even distances on the flat one, whatever the mesh."""
-    from matplotlib.colors import to_rgba
-    from matplotlib.lines import Line2D
-
     room = _common(runs)
     figure, grid = _grid(len(runs), room, below=0.25)
-    pitch = _round(max(plot.extent(run.sheet) for run in runs) / 20)
+    least = max(plot.extent(run.sheet) for run in runs) / 20
+    power = 10.0 ** np.floor(np.log10(least))
+    pitch = next(step * power for step in (1, 2, 5, 10) if step * power >= least * (1 - 1e-9))
     for axes, label, run in zip(grid[:, 0], labels, runs, strict=True):
         sheet = run.sheet
         view, turned_over = plot.view_of(run)
@@ -317,9 +255,7 @@ def _fibres(runs: Sequence[Record], labels: Sequence[str], end: float, notes: li
             lines = level_lines(P, sheet.triangles, s, levels)
             plot.draw_lines(axes, P, sheet.triangles, lines, ink, width)
         plot.draw_lines(axes, P, sheet.triangles, P[plot.rim(sheet)], "0.1", 0.7)
-        plot.frame(axes, room)
-        if not run.in_plane:
-            plot.draw_triad(axes, view, room)
+        plot.frame(axes, room, None if run.in_plane else view)
     handles = [
         Line2D([], [], color=ink, linewidth=width, label=f"{name}, every {pitch:g} mm when flat")
         for name, ink, width in (("warp", WARP, 1.6), ("weft", WEFT, 0.8))
@@ -328,22 +264,12 @@ def _fibres(runs: Sequence[Record], labels: Sequence[str], end: float, notes: li
     return figure
 
 
-def _round(length: float) -> float:
-    """Next of 1, 2, 5 times a power of ten."""
-    power = 10.0 ** np.floor(np.log10(length))
-    return next(step * power for step in (1, 2, 5, 10) if step * power >= length * (1 - 1e-9))
-
-
 def _stroke(number: int) -> dict[str, Any]:
     return {"color": INKS[number % len(INKS)], "linestyle": STROKES[number % len(STROKES)]}
 
 
-def _outlines(
-    runs: Sequence[Record], labels: Sequence[str], end: float, notes: list[str]
-) -> Figure:
+def _outlines(runs: Runs, labels: Labels, end: float, notes: list[str]) -> Figure:
     """Outlines of the formed sheets seen along z, over cuts through the tools of the first."""
-    from matplotlib.lines import Line2D
-
     figure = plot.new_figure(4.9)
     axes = figure.subplots()
     handles = []
@@ -373,9 +299,9 @@ def _outlines(
     return figure
 
 
-def _forces(runs: Sequence[Record], labels: Sequence[str], end: float, notes: list[str]) -> Figure:
+def _forces(runs: Runs, labels: Labels, end: float, notes: list[str]) -> Figure:
     """Force over travel of all runs in one panel."""
-    figure = plot.new_figure(3.3)
+    figure, shown = plot.new_figure(3.3), []
     axes = figure.subplots()
     for k, (label, run) in enumerate(zip(labels, runs, strict=True)):
         if "force_N" not in run.history:
@@ -384,6 +310,7 @@ def _forces(runs: Sequence[Record], labels: Sequence[str], end: float, notes: li
         look = {"marker": MARKS[k % len(MARKS)], "markersize": 3.5, "clip_on": True}
         label = plot.plain(label)
         plot.draw_force(axes, run, look | _stroke(k), label, f"{label}: collapsed")
+        shown.append(run)
     if any(line.get_markerfacecolor() == "white" for line in axes.lines):
         hollow = {"marker": "o", "markersize": 3.5, "markerfacecolor": "white", "color": "0.4"}
         axes.plot([], [], ls="", label="hollow: on a\ncoarser mesh", **hollow)
@@ -391,24 +318,21 @@ def _forces(runs: Sequence[Record], labels: Sequence[str], end: float, notes: li
     axes.set_xlabel(f"{' or '.join(name.replace('_', ' ') for name in names)} in mm")
     axes.set_ylabel("force in N")
     axes.set_xlim(left=0.0)
+    sound = [run.history["force_N"][: plot.sound_rows(run)] for run in shown]
+    low, high = (f(np.concatenate([*sound, [0.0]])) for f in (np.min, np.max))
+    if high > low and any(run.summary.get("collapse") for run in shown):
+        axes.set_ylim(1.05 * low - 0.05 * high, 1.5 * high - 0.5 * low)  # of what means something
     if axes.get_legend_handles_labels()[0]:
         figure.legend(loc="outside right upper")
     return figure
 
 
-def _animate(runs: Sequence[Record], labels: Sequence[str], end: float, path: Path) -> None:
+def _animate(runs: Runs, labels: Labels, end: float, path: Path) -> None:
     """Write the travel as an animation: every sheet that was written, all on one scale."""
-    from matplotlib.animation import FFMpegWriter, PillowWriter
-
     colours = plot.colour_scale(runs, end)
     views = [plot.view_of(run)[0] for run in runs]  # of the end, for all frames
-    room = np.vstack(
-        [
-            run.sheets[k].points @ view.T
-            for run, view in zip(runs, views, strict=True)
-            for k in (0, -1)
-        ]
-    )
+    seen = zip(runs, views, strict=True)
+    room = np.vstack([run.sheets[k].points @ view.T for run, view in seen for k in (0, -1)])
     figure, grid = _grid(len(runs), room)
     _draw_scale(figure, grid, runs, colours)
     travels = sorted({travel for run in runs for travel in run.sheets.travels})
@@ -449,8 +373,7 @@ def tool_cuts(run: Record) -> tuple[dict[str, tuple[FloatArray, ...]], str]:
         tool = contact.tool
         if tool.motion == "free":  # a holder lies over the sheet, as the die under it
             continue
-        driven = tool.motion == "driven"
-        z, moved = (0.0, run.travel) if driven else (-0.5 * run.travel, 0.0)
+        z, moved = (0.0, run.travel) if tool.motion == "driven" else (-0.5 * run.travel, 0.0)
         points = np.column_stack([plan, np.full(len(plan), z)])
         d = tool.shape.distance(points - [*tool.place, tool.height - moved])[0]
         if d.min() < 0 < d.max():
@@ -459,7 +382,7 @@ def tool_cuts(run: Record) -> tuple[dict[str, tuple[FloatArray, ...]], str]:
     return cuts, ""
 
 
-PICTURES: dict[str, Callable[[Sequence[Record], Sequence[str], float, list[str]], Figure]] = {
+PICTURES: dict[str, Callable[[Runs, Labels, float, list[str]], Figure]] = {
     "shear_angle": _shear_angles,
     "fibres": _fibres,
     "outline": _outlines,

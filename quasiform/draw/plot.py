@@ -1,9 +1,7 @@
 """Pictures of one run: the shear angle on the formed sheet, the history, and where to trust it.
 
 The formed sheet is projected here (parallel projection) and its triangles are drawn from far to
-near, so that the sheet hides its own far side; lines on it are drawn over them where no triangle is
-nearer. The shade of a triangle follows its normal. Everything is drawn on `Figure` objects of
-matplotlib, nothing through pyplot.
+near; lines on it are drawn over them where no triangle is nearer.
 """
 
 from __future__ import annotations
@@ -13,10 +11,19 @@ import warnings
 from collections.abc import Sequence
 from numbers import Real
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import shapely
+from matplotlib import colormaps, rc_context, rc_params_from_file
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.colors import LinearSegmentedColormap, Normalize, is_color_like, to_rgba
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.patheffects import Normal, Stroke
 
 from ..net.blank import Blank
 from ..net.edges import edge_points
@@ -24,36 +31,11 @@ from ..result.measures import SLIP_GRADIENT, percentile
 from ..result.record import Record
 from ..result.sheet import FormedSheet
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.figure import Figure
-    from matplotlib.lines import Line2D
-
 FloatArray = np.ndarray
 
 WIDTH = 16 / 2.54  # inches: the text width of a page
 DPI = 200
-STYLE = {
-    "font.size": 8,
-    "figure.titlesize": 8,
-    "axes.titlesize": 8,
-    "axes.labelsize": 8,
-    "axes.linewidth": 0.6,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "xtick.labelsize": 7,
-    "ytick.labelsize": 7,
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "legend.fontsize": 7,
-    "legend.frameon": False,
-    "legend.handlelength": 1.6,
-    "legend.handletextpad": 0.6,
-    "lines.linewidth": 1.2,
-    "hatch.linewidth": 0.5,
-    "path.snap": False,  # a line along the pixels would step aside from the next one
-}
+STYLE = rc_params_from_file(Path(__file__).with_name("page.mplstyle"), use_default_template=False)
 COLOURS = "magma_r"  # perceptually uniform; light where unsheared, so that the shading shows
 RING_LEGEND = {"handlelength": 1.0, "columnspacing": 1.0, "title_fontsize": 7, "borderaxespad": 0}
 COLLAPSED = "#00c2d1"
@@ -77,17 +59,7 @@ LIGHT = np.array([-0.45, 0.55, 0.70])  # direction to the light: right, up, towa
 
 
 def save_pictures(run: Record, folder: str | Path) -> None:
-    """Write `shear_angle.png`, `history.png` and `doubt.png`.
-
-    Parameters
-    ----------
-    run : Record
-        Of any scene, finished or stopped.
-    folder : path
-        Existing folder.
-    """
-    from matplotlib import rc_context
-
+    """Write `shear_angle.png`, `history.png` and `doubt.png` into an existing folder."""
     draw = {"shear_angle": sheet_figure, "history": history_figure, "doubt": doubt_figure}
     with rc_context(STYLE), warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph")  # a name with letters the font lacks
@@ -127,9 +99,6 @@ def sheet_figure(run: Record) -> Figure:
 
 def doubt_figure(run: Record) -> Figure:
     """Where not to trust the shear angle, and why, seen along z."""
-    from matplotlib.colors import to_rgba
-    from matplotlib.patches import Patch
-
     figure = new_figure(4.2)
     axes, key = figure.subplots(1, 2, width_ratios=[1.35, 1])
     sheet, areas = run.sheet, run.sheet.flat_areas
@@ -164,8 +133,6 @@ def history_figure(run: Record) -> Figure:
 
 def new_figure(height: float) -> Figure:
     """Figure of the text width, its height in inches."""
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(WIDTH, height), layout="constrained")
     figure.get_layout_engine().set(w_pad=0.06, h_pad=0.05)
     return figure
@@ -182,21 +149,15 @@ def _title(run: Record) -> str:
     size, path = run.parameters.get("size"), summary.get("path_size_mm")
     size = size if isinstance(size, Real) else run.sheet.blank.size
     travel, force, unit = _words(run)
-    case = [
-        run.case,
-        str(run.fabric.get("name", "unknown fabric")),
-        f"size {size:.3g} mm" + (f" (path at {path:.3g} mm)" if path else ""),
-        f"{travel} {summary['reached_mm']:.4g}{' mm' if unit == 'N' else ''}",
-    ]
+    case = [run.case, run.fabric_name, f"size {size:.3g} mm"]
+    case[2] += f" (path at {path:.3g} mm)" if path else ""
+    case.append(f"{travel} {summary['reached_mm']:.4g}{' mm' if unit == 'N' else ''}")
     gamma, errors = summary["shear_angle_deg"], summary["error_estimate"]
-    off, off_force = (
-        "" if errors[name] is None else f" ± {errors[name]:.2g}"
-        for name in ("shear_angle_deg", "force_N")
-    )
-    numbers = [f"|γ| max {gamma['max']:.1f}°, p99 {gamma['p99']:.1f}{off}°"]
+    off = {name: "" if e is None else f" ± {e:.2g}" for name, e in errors.items()}
+    numbers = f"|γ| max {gamma['max']:.1f}°, p99 {gamma['p99']:.1f}{off['shear_angle_deg']}°"
     if unit == "N":
-        numbers.append(f"{force} {round(summary['force_N'], 3) + 0.0:.4g}{off_force} N")
-    return "\n".join([" · ".join(case), " · ".join(numbers), textwrap.fill(verdict(run), 100)])
+        numbers += f" · {force} {round(summary['force_N'], 3) + 0.0:.4g}{off['force_N']} N"
+    return "\n".join([" · ".join(case), numbers, textwrap.fill(verdict(run), 100)])
 
 
 def verdict(run: Record) -> str:
@@ -218,6 +179,11 @@ def _words(run: Record) -> tuple[str, str, str]:
     return "displacement", "force", "N"
 
 
+def travel_of(run: Record) -> str:
+    """Travel of the last sheet of a run, with its name."""
+    return f"{run.travel_name.removesuffix('_mm').replace('_', ' ')} {run.travel:.4g} mm"
+
+
 def collapsed(sheet: FormedSheet) -> np.ndarray:
     """(n_triangles,) bool array: sheared past 85 degrees, or turned over in the plane."""
     found = sheet.doubts()["collapsed"].copy()
@@ -228,15 +194,14 @@ def collapsed(sheet: FormedSheet) -> np.ndarray:
 
 def colour_scale(runs: Sequence[Record], end: float | None = None) -> ScalarMappable:
     """Colours of |γ| from 0 to an end, degrees, or to that of `scale_end`."""
-    from matplotlib import colormaps
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import LinearSegmentedColormap, Normalize
-
     if end is None:
         end = scale_end([run.sheet for run in runs])
-    # the darkest end is left out: shading and fibre lines would not show on it
-    shades = colormaps[COLOURS](np.linspace(0.02, 0.88, 256))
-    return ScalarMappable(Normalize(0, end), LinearSegmentedColormap.from_list(COLOURS, shades))
+    return ScalarMappable(Normalize(0, end), LinearSegmentedColormap.from_list(COLOURS, shades()))
+
+
+def shades(count: int = 256) -> FloatArray:
+    """(count, 4) colours without the darkest: shading and fibre lines would not show on it."""
+    return colormaps[COLOURS](np.linspace(0.02, 0.88, count))
 
 
 def scale_end(sheets: Sequence[FormedSheet], least: float = 0.0) -> float:
@@ -280,15 +245,12 @@ def draw_in_space(
     view, turned_over = view_of(run)
     P = run.sheet.points @ view.T
     paint(axes, run.sheet, P, shear_faces(run.sheet, colours), shaded=True)
-    frame(axes, P if room is None else room)
-    draw_triad(axes, view, P if room is None else room)
+    frame(axes, P if room is None else room, view)
     return turned_over
 
 
 def shear_faces(sheet: FormedSheet, colours: ScalarMappable) -> FloatArray:
     """(n_triangles, 4) colours of the shear angle, and of what has collapsed."""
-    from matplotlib.colors import to_rgba
-
     faces = colours.to_rgba(np.abs(sheet.shear_angle))
     faces[collapsed(sheet)] = to_rgba(COLLAPSED)
     return faces
@@ -307,29 +269,23 @@ def paint(
 
     P (n, 3) are the nodes in the view: to the right, up, towards the viewer, mm.
     """
-    from matplotlib.collections import PolyCollection
-    from matplotlib.colors import to_rgba
-
     failed, triangles = collapsed(sheet), sheet.triangles
     faces = faces.copy()
     if shaded:
-        faces[:, :3] *= _shade(triangles, P)[:, None]
+        n = node_normals(triangles, P)[triangles].sum(1)
+        n /= np.maximum(np.linalg.norm(n, axis=1), 1e-300)[:, None]
+        n *= np.where(n[:, 2] < 0, -1.0, 1.0)[:, None]  # the side that is seen
+        bright = np.clip(n @ (LIGHT / np.linalg.norm(LIGHT)), 0.0, 1.0)
+        faces[:, :3] *= (0.55 + 0.5 * bright)[:, None]
     depth = P[triangles, 2].mean(1)
     depth[failed] += 2.0 * np.sqrt(2.0 * sheet.flat_areas.max())  # slivers, which shall be seen
     order = np.argsort(depth, kind="stable")
     faces = np.clip(faces, 0.0, 1.0)[order]
-    axes.add_collection(
-        PolyCollection(
-            P[triangles[order], :2],
-            facecolors=faces,
-            edgecolors=faces,
-            linewidths=np.where(failed, 1.5, 0.3)[order],
-            joinstyle="round",
-        )
-    )
+    look = {"facecolors": faces, "edgecolors": faces, "joinstyle": "round"}
+    look["linewidths"] = np.where(failed, 1.5, 0.3)[order]
+    axes.add_collection(PolyCollection(P[triangles[order], :2], **look))
     if fibres:
-        lines = fibre_lines(sheet.blank, max(sheet.blank.size, extent(sheet) / 20))
-        draw_lines(axes, P, triangles, P[lines], to_rgba("black", 0.5), 0.35)
+        draw_lines(axes, P, triangles, P[shown_fibres(sheet)], (0.0, 0.0, 0.0, 0.5), 0.35)
         draw_lines(axes, P, triangles, P[rim(sheet)], "0.1", 0.6)
 
 
@@ -338,31 +294,28 @@ def extent(sheet: FormedSheet) -> float:
     return float(np.ptp(sheet.flat, axis=0).max())
 
 
+def shown_fibres(sheet: FormedSheet) -> np.ndarray:
+    """(n_segments, 2) nodes of some twenty fibre lines of a family."""
+    return fibre_lines(sheet.blank, max(sheet.blank.size, extent(sheet) / 20))
+
+
 def rim(sheet: FormedSheet) -> np.ndarray:
     """(n_segments, 2) nodes of the outlines."""
     return np.vstack([np.column_stack([loop[:-1], loop[1:]]) for loop in sheet.loops])
 
 
 def draw_lines(
-    axes: Axes,
-    P: FloatArray,
-    triangles: np.ndarray,
-    segments: FloatArray,
-    colour: object,
-    width: float,
+    axes: Axes, P: FloatArray, triangles: np.ndarray, lines: FloatArray, colour: Any, width: float
 ) -> None:
     """Draw segments (k, 2, 3) that lie on the sheet, joined, where no triangle hides them.
 
     Segments and nodes P (n, 3) are those in the view; the width is in points.
     """
-    from matplotlib.collections import LineCollection
-
-    shown = segments[~hidden(P, triangles, segments.mean(1)), :, :2]
+    shown = lines[~hidden(P, triangles, lines.mean(1)), :, :2]
     pieces = shapely.multilinestrings(shapely.linestrings(np.round(shown, 6)))
-    lines = [shapely.get_coordinates(p) for p in shapely.get_parts(shapely.line_merge(pieces))]
-    axes.add_collection(
-        LineCollection(lines, colors=[colour], linewidths=width, joinstyle="round", capstyle="butt")
-    )
+    joined = [shapely.get_coordinates(p) for p in shapely.get_parts(shapely.line_merge(pieces))]
+    look = {"colors": [colour], "linewidths": width, "joinstyle": "round", "capstyle": "butt"}
+    axes.add_collection(LineCollection(joined, **look))
 
 
 def hidden(P: FloatArray, triangles: np.ndarray, points: FloatArray) -> np.ndarray:
@@ -389,14 +342,6 @@ def node_normals(triangles: np.ndarray, P: FloatArray) -> FloatArray:
     return normals
 
 
-def _shade(triangles: np.ndarray, P: FloatArray) -> FloatArray:
-    """(n_triangles,) factors of the colours, from the normals averaged at the nodes."""
-    n = node_normals(triangles, P)[triangles].sum(1)
-    n /= np.maximum(np.linalg.norm(n, axis=1), 1e-300)[:, None]
-    n *= np.where(n[:, 2] < 0, -1.0, 1.0)[:, None]  # the side that is seen
-    return 0.55 + 0.5 * np.clip(n @ (LIGHT / np.linalg.norm(LIGHT)), 0.0, 1.0)
-
-
 def fibre_lines(blank: Blank, pitch: float) -> np.ndarray:
     """(n_segments, 2) nodes of every so many fibre lines, about `pitch` mm apart when flat.
 
@@ -421,12 +366,11 @@ def fibre_lines(blank: Blank, pitch: float) -> np.ndarray:
     return np.vstack(kept)
 
 
-def draw_flat_outline(axes: Axes, sheet: FormedSheet, **look: Any) -> list[FloatArray]:
-    """Dashed outlines of the flat sheet; return them, each (m, 2)."""
-    lines = [shapely.LineString(sheet.flat[loop]).simplify(1e-6).coords for loop in sheet.loops]
-    for line in map(np.asarray, lines):
-        axes.plot(*line.T, **{**DASHED, "zorder": 0.5, **look})
-    return [np.asarray(line) for line in lines]
+def draw_flat_outline(axes: Axes, sheet: FormedSheet, **look: Any) -> None:
+    """Dashed outlines of the flat sheet."""
+    for loop in sheet.loops:
+        line = shapely.LineString(sheet.flat[loop]).simplify(1e-6)
+        axes.plot(*shapely.get_coordinates(line).T, **{**DASHED, "zorder": 0.5, **look})
 
 
 def _draw_from_above(axes: Axes, run: Record, colours: ScalarMappable) -> list[Line2D]:
@@ -454,7 +398,7 @@ def draw_grips(axes: Axes, sheet: FormedSheet, gripped: np.ndarray) -> list[Floa
     outward *= 0.04 * extent(sheet) / np.linalg.norm(outward, axis=1)[:, None]
     strips = np.stack([ends[:, 0], ends[:, 1], ends[:, 1] + outward, ends[:, 0] + outward], axis=1)
     grips = shapely.get_parts(shapely.union_all(shapely.polygons(strips), grid_size=1e-6))
-    outlines = [np.asarray(grip.exterior.coords) for grip in grips]
+    outlines = [shapely.get_coordinates(grip) for grip in grips]
     for outline in outlines:
         axes.fill(*outline.T, facecolor="0.93", edgecolor="0.35", hatch="//////", linewidth=0.6)
     return outlines
@@ -462,12 +406,9 @@ def draw_grips(axes: Axes, sheet: FormedSheet, gripped: np.ndarray) -> list[Floa
 
 def draw_draw_in_arrows(axes: Axes, run: Record) -> None:
     """Number and arrow of the draw-in at the middle of each edge, and where it is largest."""
-    arrows = [
-        (edge.flat, edge.inward, edge.draw_in(run.sheet.points), "")
-        for edge in _edges(run, run.sheet)
-    ]
-    if arrows:
-        arrows += largest_draw_in(run.sheet)
+    points, edges = run.sheet.points, _edges(run, run.sheet)
+    arrows = [(edge.flat, edge.inward, edge.draw_in(points), "") for edge in edges]
+    arrows += largest_draw_in(run.sheet) if arrows else []
     away = 0.055 * extent(run.sheet)
     for flat, inward, draw_in, word in arrows:
         tilt = np.degrees(np.arctan2(inward[0], -inward[1]))
@@ -500,9 +441,6 @@ def largest_draw_in(sheet: FormedSheet) -> list[tuple[FloatArray, FloatArray, fl
 
 def _draw_areas(axes: Axes, run: Record) -> list[Line2D]:
     """Rings around the named areas on the formed sheet, with their mean angle."""
-    from matplotlib.colors import is_color_like
-    from matplotlib.patheffects import Normal, Stroke
-
     turn = np.linspace(0.0, 2.0 * np.pi, 73)
     circle = np.column_stack([np.cos(turn), np.sin(turn)])
     rims = [Stroke(linewidth=w, foreground=c) for w, c in ((2.8, "black"), (2.2, "white"))]
@@ -528,8 +466,11 @@ def formed_places(sheet: FormedSheet, points: FloatArray) -> FloatArray:
     return (sheet.points[corner] + moved)[:, :2]
 
 
-def frame(axes: Axes, points: FloatArray) -> None:
-    """Equal scales, no axes, and a scale bar below the points (n, 2 or more), mm."""
+def frame(axes: Axes, points: FloatArray, view: FloatArray | None = None) -> None:
+    """Equal scales, no axes, and a scale bar below the points (n, 2 or more), mm.
+
+    With a view, also the directions of x, y and z but for what points at the viewer.
+    """
     low, high = points[:, :2].min(0), points[:, :2].max(0)
     extent = (high - low).max()
     power = 10.0 ** np.floor(np.log10(extent / 3))
@@ -542,18 +483,13 @@ def frame(axes: Axes, points: FloatArray) -> None:
     axes.set_ylim(y - 0.06 * extent, high[1] + 0.03 * extent)
     axes.set_aspect("equal")
     axes.axis("off")
-
-
-def draw_triad(axes: Axes, view: FloatArray, P: FloatArray) -> None:
-    """Directions of x, y and z in the lower left corner; what points at the viewer is left out."""
-    low = P[:, :2].min(0)
-    arm = 0.09 * np.ptp(P[:, :2], axis=0).max()
-    origin = low + np.array([arm, 0.0])
-    for name, direction in zip("xyz", view.T[:, :2], strict=True):
-        if np.linalg.norm(direction) < 0.1:
-            continue
-        axes.annotate("", origin + arm * direction, origin, arrowprops=ARROW)
-        axes.text(*(origin + 1.3 * arm * direction), name, **MIDDLE)
+    arm = 0.09 * extent
+    shown = () if view is None else zip("xyz", view.T[:, :2], strict=True)
+    for name, direction in shown:
+        if np.linalg.norm(direction) >= 0.1:
+            origin = low + np.array([arm, 0.0])
+            axes.annotate("", origin + arm * direction, origin, arrowprops=ARROW)
+            axes.text(*(origin + 1.3 * arm * direction), name, **MIDDLE)
 
 
 def draw_force(
@@ -626,8 +562,7 @@ def _draw_shear_angles(axes: Axes, run: Record) -> None:
     if other is None or len(other) != len(travel):
         other, label = [percentile(g, area, 0.99) for g, area in found], "99th percentile"
     axes.plot(travel, other, "s-", **CURVE | {"color": SECOND}, label=label)
-    known = off_axis_theory(run)
-    if known:
+    if known := off_axis_theory(run):
         u, angle, _ = known
         axes.plot(u, angle, **THEORY, label="kinematic,\ninextensible fibres")
     axes.set_ylim(0.0, max(1.0, 1.1 * largest.max()))
@@ -637,15 +572,12 @@ def _draw_shear_angles(axes: Axes, run: Record) -> None:
 def _draw_draw_in(axes: Axes, run: Record) -> None:
     """Draw-in over travel: mean of the mid-edges and their range."""
     travel = np.array(run.sheets.travels)
-    draw_in = np.array(
-        [[edge.draw_in(sheet.points) for edge in _edges(run, sheet)] for sheet in run.sheets]
-    )
-    mean = draw_in.mean(1)
+    found = [[edge.draw_in(sheet.points) for edge in _edges(run, sheet)] for sheet in run.sheets]
+    mean, low, high = (np.array(f(found, axis=1)) for f in (np.mean, np.min, np.max))
     axes.plot(travel, mean, "o-", **CURVE, label="mean of the edges")
-    low, high = draw_in.min(1), draw_in.max(1)
     if (high - low).max() > max(0.1, 0.02 * np.abs(mean).max()):
         axes.fill_between(travel, low, high, color=FIRST, alpha=0.2, linewidth=0, label="range")
-    axes.set_ylim(min(0.0, 1.1 * draw_in.min()), max(1.0, 1.1 * draw_in.max()))
+    axes.set_ylim(min(0.0, 1.1 * low.min()), max(1.0, 1.1 * high.max()))
     _finish_panel(axes, run, travel[-1], mean[-1], "draw-in in mm")
 
 

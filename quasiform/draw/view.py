@@ -1,9 +1,7 @@
 """An interactive picture of a sheet: turned, zoomed and probed in a browser, by plotly.
 
-Every triangle has the colour of its shear angle, on the scale of `plot.py`; fibre lines and outline
-lie on it. The pointer shows the angle, the place on the flat blank and the fibre strains of a
-triangle. Plotly and jinja2 are needed (extra `report`); the page holds its script, so nothing is
-loaded.
+The pointer shows the angle, the place on the flat blank and the fibre strains of a triangle. Plotly
+and jinja2 are needed (extra `report`); the page holds its script, so nothing is loaded.
 """
 
 from __future__ import annotations
@@ -14,8 +12,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from matplotlib.colors import to_hex
 
 from ..checks import InputError
+from ..result.files import writing_to
 from ..result.record import Record
 from . import plot
 
@@ -47,23 +47,11 @@ def available() -> bool:
 
 
 def figure(run: Record) -> Figure:
-    """Build the view of the last sheet of a run (`Record.upto` chooses another).
+    """View of the last sheet of a run (`Record.upto` chooses another), as a figure of plotly.
 
-    Parameters
-    ----------
-    run : Record
-
-    Returns
-    -------
-    plotly.graph_objects.Figure
-        A `Mesh3d` whose cell intensity is |γ| in degrees and whose `customdata` are, by triangle, γ
-        in degrees, X and Y of its middle on the flat blank in mm, E11 and E22; with collapsed
-        triangles, fibre lines and the outline as traces of their own.
-
-    Raises
-    ------
-    InputError
-        If plotly is not installed.
+    Its `Mesh3d` has |γ| in degrees as cell intensity; `customdata` are, by triangle, γ in degrees,
+    X and Y of its middle on the flat blank in mm, E11 and E22. Collapsed triangles, fibre lines and
+    the outline are traces of their own.
     """
     if not available():
         raise InputError("the 3D view needs plotly: pip install 'quasiform[report]'")
@@ -80,7 +68,7 @@ def figure(run: Record) -> Figure:
         intensitymode="cell",
         cmin=0,
         cmax=plot.scale_end([sheet]),
-        colorscale=_colours(),
+        colorscale=[(k / 32, to_hex(shade)) for k, shade in enumerate(plot.shades(33))],
         colorbar={"title": {"text": "|γ| in °", "side": "right"}, "thickness": 14, "len": 0.75},
         customdata=np.column_stack([gamma, middle, strains]).astype(np.float32),
         hovertemplate=HOVER,
@@ -98,10 +86,9 @@ def figure(run: Record) -> Figure:
     normals = plot.node_normals(sheet.triangles, x)
     normals /= np.maximum(np.linalg.norm(normals, axis=1), 1e-300)[:, None]
     off = ABOVE * extent * normals
-    fibres = plot.fibre_lines(sheet.blank, max(sheet.blank.size, extent / 20))
     look = {"mode": "lines", "hoverinfo": "skip", "showlegend": False}
     for name, lines, height, line in (
-        ("fibres", fibres, off, {"color": "rgba(0,0,0,0.55)", "width": 1.5}),
+        ("fibres", plot.shown_fibres(sheet), off, {"color": "rgba(0,0,0,0.55)", "width": 1.5}),
         ("outline", sheet.loops, 0.2 * off, {"color": "#1a1a1a", "width": 3}),
     ):
         traces.append(go.Scatter3d(**_along(x, height, lines), name=name, line=line, **look))
@@ -113,59 +100,46 @@ def _layout(run: Record, room: float, *, legend: bool) -> dict[str, Any]:
     low, high = run.sheet.points.min(0), run.sheet.points.max(0)
     half = 0.5 * (high - low) + room
     ends = ((low + high) / 2 + half * [[-1.0], [1.0]]).T.tolist()
-    ratio = dict(zip("xyz", (1.6 * half / half.max()).tolist(), strict=True))
-    axes = {
-        f"{axis}axis": {"visible": False, "range": between}
-        for axis, between in zip("xyz", ends, strict=True)
+    scene = {
+        "aspectmode": "manual",
+        "aspectratio": dict(zip("xyz", (1.6 * half / half.max()).tolist(), strict=True)),
+        "camera": _camera(run),
+        "dragmode": "orbit",
     }
+    for axis, between in zip("xyz", ends, strict=True):
+        scene[f"{axis}axis"] = {"visible": False, "range": between}
     return {
         "template": "none",
         "margin": dict.fromkeys("lrbt", 0),
         "showlegend": legend,
         "legend": {"x": 0, "y": 0},
         "hoverlabel": {"bgcolor": "white", "font": {"color": "#1a1a1a"}},
-        "scene": {
-            "aspectmode": "manual",
-            "aspectratio": ratio,
-            "camera": _camera(run),
-            "dragmode": "orbit",
-            **axes,
-        },
+        "scene": scene,
     }
 
 
 def words(run: Record) -> str:
     """What is seen, in a line: case, fabric, mesh, travel, shear angle, force, verdict."""
     return (
-        f"{run.case}, {run.fabric.get('name', 'unknown fabric')}, "
-        f"{len(run.sheet.triangles)} triangles: "
-        f"{run.travel_name.removesuffix('_mm').replace('_', ' ')} {run.travel:.4g} mm, "
-        f"largest |γ| {np.abs(run.sheet.shear_angle).max():.1f}°, force {run.force:.4g} N, "
-        f"{plot.verdict(run)}"
+        f"{run.case}, {run.fabric_name}, {len(run.sheet.triangles)} triangles: "
+        f"{plot.travel_of(run)}, largest |γ| {np.abs(run.sheet.shear_angle).max():.1f}°, "
+        f"force {run.force:.4g} N, {plot.verdict(run)}"
     )
 
 
 def save(run: Record, path: str | Path) -> Path:
-    """Write the view as one HTML file that needs nothing else.
-
-    Raises
-    ------
-    InputError
-        If plotly is not installed, or the file cannot be written.
-    """
+    """Write the view as one HTML file that needs nothing else."""
     drawn = figure(run)
     from jinja2 import Environment
     from plotly.offline import get_plotlyjs
 
     page = Environment(autoescape=True).from_string(PAGE.read_text(encoding="utf-8"))
-    text = page.render(
-        title=run.case, words=words(run), script=get_plotlyjs(), figure=drawn.to_json()
-    )
-    try:
-        Path(path).write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"cannot write to {path}: {error.strerror or error}") from error
-    return Path(path)
+    parts = {"title": run.case, "words": words(run), "figure": drawn.to_json()}
+    text = page.render(**parts, script=get_plotlyjs())
+    path = Path(path)
+    with writing_to(path):
+        path.write_text(text, encoding="utf-8")
+    return path
 
 
 def _points(x: FloatArray) -> dict[str, FloatArray]:
@@ -183,23 +157,13 @@ def _along(x: FloatArray, off: FloatArray, lines: Sequence[np.ndarray]) -> dict[
     return _points(np.vstack([gap, *points]))
 
 
-def _colours() -> list[tuple[float, str]]:
-    """The colours of `plot.py`, whose darkest end is left out there too."""
-    from matplotlib import colormaps
-    from matplotlib.colors import to_hex
-
-    shades = colormaps[plot.COLOURS](np.linspace(0.02, 0.88, 33))
-    return [(k / 32, to_hex(shade)) for k, shade in enumerate(shades)]
-
-
 def _camera(run: Record) -> dict[str, Any]:
     """From slightly above as in `plot.py` (a bowl from below), or straight onto a plane sheet."""
-    if run.in_plane:
-        up, eye, low = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.7]), 0.0
-    else:
+    up, eye, low = [0.0, 1.0, 0.0], np.array([0.0, 0.0, 1.7]), 0.0
+    if not run.in_plane:
         sign = -1.0 if plot.is_bowl(run) else 1.0
         eye = 2.6 * plot.view_from(turned_over=False)[2] * [1.0, 1.0, sign]
-        up, low = np.array([0.0, 0.0, sign]), -0.15 * sign
+        up, low = [0.0, 0.0, sign], -0.15 * sign
     # the near corner is the largest: it is to be seen in a square window too
-    found = {"up": up, "eye": eye, "center": np.array([0.0, 0.0, low])}
-    return {name: dict(zip("xyz", p.tolist(), strict=True)) for name, p in found.items()}
+    found = {"up": up, "eye": eye.tolist(), "center": [0.0, 0.0, low]}
+    return {name: dict(zip("xyz", p, strict=True)) for name, p in found.items()}

@@ -22,42 +22,32 @@ import numpy as np
 from skfem import Basis, ElementLineP1
 
 from ..net.blank import Blank
-from ..unknowns import Sheet
+from ..unknowns import FloatArray, IntArray, Sheet
 from .term import Term
-
-FloatArray = np.ndarray
-IntArray = np.ndarray
 
 
 class Bending(Term):
     """Bending of warp and weft lines, five nodes a stencil: (centre, warp -, +, weft -, +).
 
-    Parameters
-    ----------
-    sheet : Sheet
-        In space.
-    clamped : (n_nodes,) bool array, optional
-        Nodes in a clamp: lines that end there keep their flat direction.
+    Lines that end at a `clamped` (n_nodes,) bool node keep their flat direction.
     """
 
     def __init__(self, sheet: Sheet, clamped: np.ndarray | None = None) -> None:
-        blank = sheet.blank
+        self.sheet, blank = sheet, sheet.blank
         n = len(blank.nodes)
         rows = np.zeros((n, 4, 5, 3))  # k_warp, k_weft, u, v as combinations of the five nodes
         constant = np.zeros((n, 4, 3))
         nodes = np.repeat(np.arange(n)[:, None], 5, axis=1)
         half_lengths = np.zeros((n, 2))
         for f, family in enumerate(("warp", "weft")):
-            left, right, grad = _neighbours(blank, family)
-            nodes[:, 1 + 2 * f] = np.where(left >= 0, left, np.arange(n))
-            nodes[:, 2 + 2 * f] = np.where(right >= 0, right, np.arange(n))
-            slopes = np.zeros((2, n, 5, 3))  # of the segments before and after the node
-            slopes[0, :, 1 + 2 * f] = -grad[0][:, None]
-            slopes[0, :, 0] = grad[0][:, None]
-            slopes[1, :, 0] = -grad[1][:, None]
-            slopes[1, :, 2 + 2 * f] = grad[1][:, None]
-            fixed = np.zeros((2, n, 3))
-            present = np.stack([left >= 0, right >= 0])
+            beside, grad = _neighbours(blank, family)
+            present = beside >= 0
+            slopes, fixed = np.zeros((2, n, 5, 3)), np.zeros((2, n, 3))
+            for side, sign in ((0, -1.0), (1, 1.0)):  # of the segments before and after the node
+                column = 1 + 2 * f + side
+                nodes[:, column] = np.where(present[side], beside[side], np.arange(n))
+                slopes[side, :, column] = sign * grad[side][:, None]
+                slopes[side, :, 0] = -slopes[side, :, column]
             length = np.where(present, 1.0 / np.where(present, grad, 1.0), 0.0)
             half_lengths[:, f] = 0.5 * length.sum(0)
             along = np.append(blank.warp if family == "warp" else blank.weft, 0.0)
@@ -66,8 +56,8 @@ class Bending(Term):
                 if plane not in blank.mirror or abs(along[axis]) < 1 - 1e-8:
                     continue
                 on_plane = np.abs(blank.nodes[:, axis]) < 1e-9
-                mirror = np.array([-1.0, -1.0, -1.0])
-                mirror[axis] = 1.0  # slope of the mirrored segment, walked in the same direction
+                # slope of the mirrored segment, walked in the same direction
+                mirror = np.where(np.arange(3) == axis, 1.0, -1.0)
                 for side in (0, 1):
                     at = on_plane & present[1 - side] & ~present[side]
                     slopes[side, at] = slopes[1 - side, at] * mirror
@@ -89,22 +79,17 @@ class Bending(Term):
             constant[:, 2 + f] = fixed.sum(0) / count[:, None]
         bent = (np.abs(rows[:, :2]).sum((1, 2, 3)) > 0) & half_lengths.all(1)
         areas = half_lengths[bent].prod(1)
-        self._set(sheet, nodes[bent], rows[bent], constant[bent], areas)
+        self._set(nodes[bent], rows[bent], constant[bent], areas)
 
     def _set(
-        self,
-        sheet: Sheet,
-        nodes: IntArray,
-        rows: FloatArray,
-        constant: FloatArray,
-        areas: FloatArray,
+        self, nodes: IntArray, rows: FloatArray, constant: FloatArray, areas: FloatArray
     ) -> None:
         """Keep stencils of nodes (m, k), and of k_warp, k_weft, u, v as rows (m, 4, k, 3)."""
         m, k = nodes.shape
         self.constant = constant
         self.operator = (rows[:, :, None] * np.eye(3)[None, None, :, None, :]).reshape(m, 12, 3 * k)
-        self.sheet, self.nodes, fabric = sheet, nodes, sheet.fabric
-        self.name = f"bending of the {sheet.name}" if sheet.name != "sheet" else "bending"
+        sheet, self.nodes, fabric = self.sheet, nodes, self.sheet.fabric
+        self.name = sheet.named("bending")
         self.dofs = sheet.dofs[nodes].reshape(m, 3 * k)
         self.stiffness = areas[:, None] * [fabric.bending_warp, fabric.bending_weft]
         self.in_plane = fabric.in_plane_bending
@@ -128,7 +113,6 @@ class Bending(Term):
         return k, u, v, m / length[:, None], length
 
     def energy(self, x: FloatArray, state: None = None) -> FloatArray:
-        """Energy of each stencil, mJ."""
         r = self.in_plane
         if r == 1:
             k = self._second_differences(x)
@@ -149,7 +133,6 @@ class Bending(Term):
         return k, u, v, n, length, kappa, q, d
 
     def gradient(self, x: FloatArray, state: None = None) -> FloatArray:
-        """Nodal forces of each stencil, N."""
         r = self.in_plane
         if r == 1:
             force = self.stiffness[..., None] * self._second_differences(x)
@@ -160,10 +143,7 @@ class Bending(Term):
         return (force.reshape(-1, 1, 12) @ self.operator)[:, 0]
 
     def hessian(self, x: FloatArray, state: None, convex: bool) -> FloatArray:
-        """Stiffness of each stencil, N/mm; positive semi-definite with `convex`.
-
-        The convex variant leaves out the part with the second derivative of κ (Gauss-Newton).
-        """
+        """With `convex` without the part with the second derivative of κ (Gauss-Newton)."""
         r = self.in_plane
         if r == 1:
             K = self.operator[:, :6]
@@ -194,17 +174,16 @@ class Bending(Term):
         return self.operator.transpose(0, 2, 1) @ H @ self.operator
 
 
-def _neighbours(blank: Blank, family: str) -> tuple[IntArray, IntArray, FloatArray]:
-    """Nodes before and after each node on its fibre line (-1: none), and 1/l of those segments."""
+def _neighbours(blank: Blank, family: str) -> tuple[IntArray, FloatArray]:
+    """(2, n) nodes before and after each on its fibre line (-1: none), 1/l of those segments."""
     line = blank.fibre_lines(family)
     basis = Basis(line, ElementLineP1(), quadrature=(np.array([[0.5]]), np.array([1.0])))
     slope = basis.basis[1][0].grad[0, :, 0]  # of the second node's shape function: 1/l
     first, second = basis.element_dofs
-    n = len(blank.nodes)
-    left, right, grad = np.full(n, -1), np.full(n, -1), np.zeros((2, n))
-    left[second], right[first] = first, second
+    beside, grad = np.full((2, len(blank.nodes)), -1), np.zeros((2, len(blank.nodes)))
+    beside[0, second], beside[1, first] = first, second
     grad[0, second], grad[1, first] = slope, slope
-    return left, right, grad
+    return beside, grad
 
 
 def _skew(w: FloatArray) -> FloatArray:

@@ -33,11 +33,9 @@ from scipy.sparse import csr_array
 
 from ..net.blank import Blank
 from ..tools.shapes import Distance, Tool
-from ..unknowns import Sheet
+from ..unknowns import FloatArray, IntArray, Sheet
 from .term import Term
 
-FloatArray = np.ndarray
-IntArray = np.ndarray
 BLEND = 0.05  # e, mm
 LEVER = 100.0  # L, mm: tilts are measured by the motion of a point at this distance
 LENGTH_TRUE = 1 / 24
@@ -47,25 +45,13 @@ FAR_OFF = 20.0  # mm
 
 @dataclass(frozen=True)
 class Points:
-    """Points of the sheet that may touch a tool, each a weighted mean of nodes.
-
-    Parameters
-    ----------
-    name : str
-    nodes : (m, k) int array
-    weights : (m, k, 3) array
-        By node and component (at a mirror plane these differ); they sum to 1 over the nodes.
-    areas : (m,) array
-        Area that a point stands for, mm².
-    sag : (m,) array
-        s, mm.
-    """
+    """Points of the sheet that may touch a tool, each a mean of nodes."""
 
     name: str
-    nodes: IntArray
-    weights: FloatArray
-    areas: FloatArray
-    sag: FloatArray
+    nodes: IntArray  # (m, k)
+    weights: FloatArray  # (m, k, 3) by node and component, which differ at a mirror plane
+    areas: FloatArray  # (m,) area that a point stands for, mm²
+    sag: FloatArray  # (m,) s, mm
 
 
 def at_nodes(blank: Blank) -> Points:
@@ -107,17 +93,10 @@ def at_edges(blank: Blank) -> Points:
 
 
 class Contact(Term):
-    """Normal contact of points of the sheet with one tool.
+    """Normal contact of points of the sheet, by default its nodes, with one tool.
 
-    Parameters
-    ----------
-    sheet : Sheet
-        Its fabric supplies the thickness t0 and the compaction stiffness k.
-    tool : Tool
-    tool_dofs : (1,) or (3,) int array
-        Numbers in x of the tool's height and, if it tilts, of its tilts.
-    points : Points, optional
-        Where the sheet touches; `at_nodes(blank)` if not given.
+    The fabric supplies the thickness t0 and the compaction stiffness k. `tool_dofs` (1,) or (3,)
+    are the numbers in x of the tool's height and, if it tilts, of its tilts.
     """
 
     selective = True
@@ -127,8 +106,7 @@ class Contact(Term):
     ) -> None:
         self.sheet, self.tool, self.tool_dofs = sheet, tool, np.ravel(tool_dofs)
         self.points = points or at_nodes(sheet.blank)
-        whose = "" if sheet.name == "sheet" else f" of the {sheet.name}"
-        self.name = f"contact{whose} with {tool.name}{self.points.name}"
+        self.name = f"{sheet.named('contact')} with {tool.name}{self.points.name}"
         m = len(self.points.nodes)
         nodal = sheet.dofs[self.points.nodes].reshape(m, -1)
         self.dofs = np.column_stack([nodal, np.tile(self.tool_dofs, (m, 1))])
@@ -214,31 +192,24 @@ class Contact(Term):
     def nodal_force(self, x: FloatArray) -> FloatArray:
         """(n_nodes,) normal contact force spread to the nodes, N."""
         force = (self.area * self.pressure(x))[:, None] * self.points.weights.mean(2)
-        return np.bincount(
-            self.points.nodes.ravel(), force.ravel(), minlength=len(self.sheet.blank.nodes)
-        )
+        n = len(self.sheet.blank.nodes)
+        return np.bincount(self.points.nodes.ravel(), force.ravel(), minlength=n)
 
     def energy(self, x: FloatArray, state: None = None) -> FloatArray:
-        """Energy of each point, mJ."""
         return self.area * self._law(self.penetration(x))[0]
 
     def gradient(self, x: FloatArray, state: None = None) -> FloatArray:
-        """(m, n_local) forces on nodes, tool height and tilts (by L), N."""
         _, d, n, _ = self.at(x)
         force = -self.area * self._law(self.reach - d)[1]
         return self.pull_back(x, force[:, None] * n)
 
     def active(self, x: FloatArray, state: None = None) -> IntArray:
-        """Numbers of the points that touch."""
         return np.flatnonzero(self.penetration(x) > 0)
 
     def hessian(
         self, x: FloatArray, state: None, convex: bool, rows: IntArray | slice = slice(None)
     ) -> FloatArray:
-        """(m, n_local, n_local) stiffness, N/mm; with `convex` without the curvature of the tool.
-
-        With `rows`, that of these points only.
-        """
+        """With `convex` without the curvature of the tool."""
         d, n, curvature = (of_all[rows] for of_all in self.at(x)[1:])
         _, pressure, stiffness = self._law(self.reach[rows] - d)
         area = self.area[rows]
@@ -254,10 +225,7 @@ class Contact(Term):
         local = self._shares * (force @ self._into_frame(x))[:, self._axes]
         if not self.tool.tilts:
             return local
-        A, B = self._turns(x)
-        arm = self.arm(x)
-        by_tilts = [(force * (arm @ turn.T)).sum(1) for turn in (B[0] @ A[1], B[1] @ A[0])]
-        return np.column_stack([local, *by_tilts])
+        return np.column_stack([local, *((force * swept).sum(1) for swept in self._swept(x))])
 
     def pull_back_stiffness(
         self, x: FloatArray, H: FloatArray, force: FloatArray | None, rows: IntArray | slice
@@ -266,7 +234,9 @@ class Contact(Term):
 
         Without `force` the part of the tool's finite rotation is left out.
         """
-        J = self._jacobian(x, rows)
+        J = self._shares[rows][:, None] * self._into_frame(x)[:, self._axes]
+        if self.tool.tilts:
+            J = np.concatenate([J, np.stack(self._swept(x, rows), axis=2)], axis=2)
         local = J.transpose(0, 2, 1) @ (H @ J)
         if force is None or not self.tool.tilts:
             return local
@@ -282,15 +252,11 @@ class Contact(Term):
             local[:, j, i] += value if i != j else 0.0
         return local
 
-    def _jacobian(self, x: FloatArray, rows: IntArray | slice) -> FloatArray:
-        """(m, 3, n_local) derivative of y by the local degrees of freedom."""
-        J = self._shares[rows][:, None] * self._into_frame(x)[:, self._axes]
-        if not self.tool.tilts:
-            return J
+    def _swept(self, x: FloatArray, rows: IntArray | slice = slice(None)) -> list[FloatArray]:
+        """(m, 3) derivatives of y by both tilts."""
         A, B = self._turns(x)
         arm = self.arm(x)[rows]
-        by_tilts = [arm @ turn.T for turn in (B[0] @ A[1], B[1] @ A[0])]
-        return np.concatenate([J, np.stack(by_tilts, axis=2)], axis=2)
+        return [arm @ turn.T for turn in (B[0] @ A[1], B[1] @ A[0])]
 
     def stiffness_bound(self, x: FloatArray) -> FloatArray:
         """(m, n_local) shares of the row sums of the stiffness if every point touched, N/mm."""
@@ -331,13 +297,7 @@ def _turn(angle: float, i: int, j: int) -> list[FloatArray]:
 
 
 def surrounds(contact: Contact, x: FloatArray) -> bool:
-    """Whether the points under the flat face of the tool lie around its origin.
-
-    Parameters
-    ----------
-    contact : Contact
-    x : (n_dofs,) array
-    """
+    """Whether the points under the flat face of the tool lie around its origin."""
     import shapely
 
     _, d, n, _ = contact.at(x)

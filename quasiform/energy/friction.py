@@ -20,50 +20,27 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..net.transfer import interpolated
+from ..unknowns import FloatArray, IntArray
 from .contact import Contact
 from .term import Standing, Term
 
-FloatArray = np.ndarray
-IntArray = np.ndarray
 STICK = 0.1  # stiffness of elastic stick per area, N/mm³
 
 
 @dataclass(frozen=True, eq=False)
 class Rubbing:
-    """What friction remembers of m points of the sheet on a tool, in the tool's frame.
+    """What friction remembers of m points of the sheet on a tool, in the tool's frame."""
 
-    Parameters
-    ----------
-    points : (m, 3) array
-        Positions at the last commit, mm.
-    p : (m,) array
-        Penetrations there, mm.
-    touched : (m, 3) array
-        Anchors there, mm; nan for a point that did not touch.
-    anchor : (m, 3) array
-        Anchors now, mm: also of points that have come into touch since.
-    normal : (m, 3) array
-        n.
-    limit : (m,) array
-        μ λ, N.
-    """
-
-    points: FloatArray
-    p: FloatArray
-    touched: FloatArray
-    anchor: FloatArray
-    normal: FloatArray
-    limit: FloatArray
+    points: FloatArray  # (m, 3) positions at the last commit, mm
+    p: FloatArray  # (m,) penetrations there, mm
+    touched: FloatArray  # (m, 3) anchors there, mm; nan for a point that did not touch
+    anchor: FloatArray  # (m, 3) anchors now, mm, also of points that have come into touch since
+    normal: FloatArray  # (m, 3) n
+    limit: FloatArray  # (m,) μ λ, N
 
 
 class Friction(Term):
-    """Friction of the sheet on one tool, at the points where it touches.
-
-    Parameters
-    ----------
-    contact : Contact
-        The normal contact with the same tool.
-    """
+    """Friction of the sheet on one tool, at the points of the normal contact with it."""
 
     selective = True
     mixed = ("limit",)
@@ -147,7 +124,6 @@ class Friction(Term):
         return s * np.minimum(self.stick, state.limit / np.maximum(length, 1e-300))[:, None]
 
     def energy(self, x: FloatArray, state: Rubbing) -> FloatArray:
-        """Energy of each point, mJ."""
         return self._energy(self.contact.relative(x), state)
 
     def force(self, x: FloatArray, state: Rubbing) -> FloatArray:
@@ -155,20 +131,14 @@ class Friction(Term):
         return self._force(self.contact.relative(x), state)
 
     def gradient(self, x: FloatArray, state: Rubbing) -> FloatArray:
-        """(m, n_local) forces on nodes and tool, N."""
         return self.contact.pull_back(x, self.force(x, state))
 
     def active(self, x: FloatArray, state: Rubbing) -> IntArray:
-        """Numbers of the points that rub."""
         return np.flatnonzero(state.limit > 0)
 
     def hessian(
         self, x: FloatArray, state: Rubbing, convex: bool, rows: IntArray | slice = slice(None)
     ) -> FloatArray:
-        """(m, n_local, n_local) stiffness, N/mm; positive semi-definite with `convex`.
-
-        With `rows`, that of these points only.
-        """
         s, length = (of_all[rows] for of_all in self._slide(self.contact.relative(x), state))
         n, limit, stick = state.normal[rows], state.limit[rows], self.stick[rows]
         P = np.eye(3) - n[:, :, None] * n[:, None, :]
@@ -176,10 +146,7 @@ class Friction(Term):
         t = s / np.maximum(length, 1e-300)[:, None]
         across = P - t[:, :, None] * t[:, None, :]
         slope = limit / np.maximum(length, 1e-300)
-        H = np.where(
-            slipping[:, None, None],
-            slope[:, None, None] * across,
-            ((limit > 0) * stick)[:, None, None] * P,
-        )
+        stuck = ((limit > 0) * stick)[:, None, None] * P
+        H = np.where(slipping[:, None, None], slope[:, None, None] * across, stuck)
         force = None if convex else s * np.minimum(stick, slope)[:, None]
         return self.contact.pull_back_stiffness(x, H, force, rows)

@@ -8,28 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..unknowns import Sheet
+from ..unknowns import FloatArray, Sheet
 from .term import Term
-
-FloatArray = np.ndarray
 
 
 class Grip(Term):
-    """A gripper on some nodes of a sheet in space.
-
-    Parameters
-    ----------
-    sheet : Sheet
-    nodes : (m,) int array
-    shares : (m,) array
-        They sum to 1.
-    start : (m, 3) array
-        Positions at which the gripper pulls with T, mm.
-    direction : (3,) array
-        Unit vector e.
-    tension, stiffness : float
-        T, N, and K, N/mm, of the whole gripper.
-    """
+    """A gripper on nodes (m,) of a sheet in space, with T in N when they are at `start` (m, 3)."""
 
     name = "gripper"
 
@@ -51,15 +35,12 @@ class Grip(Term):
         return (x[self.dofs] - self.start) @ self.direction
 
     def energy(self, x: FloatArray, state: None = None) -> FloatArray:
-        """(m,) energy, mJ."""
         u = self._motion(x)
         return 0.5 * self.stiffness * u**2 - self.tension * u
 
     def gradient(self, x: FloatArray, state: None = None) -> FloatArray:
-        """(m, 3) forces, N."""
         pull = self.stiffness * self._motion(x) - self.tension
         return pull[:, None] * self.direction
 
     def hessian(self, x: FloatArray, state: None, convex: bool) -> FloatArray:
-        """(m, 3, 3) stiffness, N/mm."""
         return self.stiffness[:, None, None] * np.outer(self.direction, self.direction)

@@ -19,25 +19,18 @@ from __future__ import annotations
 import numpy as np
 
 from ..fabric import shear_angle
-from ..unknowns import Sheet
+from ..unknowns import FloatArray, Sheet
 from .term import Term
-
-FloatArray = np.ndarray
 
 
 class Membrane(Term):
-    """Tension of both fibre families and shear of a blank, in the plane (d = 2) or in space.
-
-    Parameters
-    ----------
-    sheet : Sheet
-    """
+    """Tension of both fibre families and shear of a sheet, in the plane (d = 2) or in space."""
 
     foresees = True
 
     def __init__(self, sheet: Sheet) -> None:
         blank, self.sheet, self.fabric = sheet.blank, sheet, sheet.fabric
-        self.name = f"membrane of the {sheet.name}" if sheet.name != "sheet" else "membrane"
+        self.name = sheet.named("membrane")
         nodes = blank.basis.element_dofs
         self.dofs = sheet.dofs.T[:, nodes].swapaxes(0, 1).reshape(-1, nodes.shape[1]).T
         grad = np.stack([phi[0].grad[:, :, 0] for phi in blank.basis.basis])  # (3, 2, n)
@@ -70,12 +63,15 @@ class Membrane(Term):
         """(n_triangles,) signed shear angle, radians."""
         return shear_angle(*self.invariants(x))
 
+    def largest_shear_angle(self, x: FloatArray) -> float:
+        """Largest |γ|, degrees."""
+        return float(np.degrees(np.abs(self.shear_angle(x)).max()))
+
     def normals(self, x: FloatArray) -> FloatArray:
         """(n_triangles, 1 or 3) normal times area ratio; in the plane the determinant of F."""
         return cross(*self._at(x)[0]).T
 
     def energy(self, x: FloatArray, state: None = None) -> FloatArray:
-        """Energy of each triangle, mJ."""
         _, I4, I6, I8 = self._at(x)
         fabric = self.fabric
         W = fabric.warp.energy(I4, 1.0) + fabric.weft.energy(I8, 1.0) + fabric.shear.energy(I6)
@@ -94,7 +90,6 @@ class Membrane(Term):
         return S
 
     def gradient(self, x: FloatArray, state: None = None) -> FloatArray:
-        """Nodal forces of each triangle, N."""
         S = self.volume * self._stress(x)
         return nodal_forces(self._g, S, self._at(x)[0])
 
@@ -112,10 +107,6 @@ class Membrane(Term):
     def hessian(
         self, x: FloatArray, state: None, convex: bool, stress: FloatArray | None = None
     ) -> FloatArray:
-        """Stiffness of each triangle, N/mm; positive semi-definite with `convex`.
-
-        A foreseen stress takes the place of that at x.
-        """
         f, I4, I6, I8 = self._at(x)
         fabric, S = self.fabric, self._stress(x) if stress is None else stress
         W4, W8 = fabric.warp.stiffness(I4, 1.0), fabric.weft.stiffness(I8, 1.0)

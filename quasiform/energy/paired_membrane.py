@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..unknowns import Sheet
+from ..unknowns import FloatArray, Sheet
 from .membrane import (
     Membrane,
     along_fibres,
@@ -26,16 +26,9 @@ from .membrane import (
     second_derivative,
 )
 
-FloatArray = np.ndarray
-
 
 class PairedMembrane(Membrane):
-    """Tension and shear of a blank with `pairs`, six nodes a stencil (three twice if alone).
-
-    Parameters
-    ----------
-    sheet : Sheet
-    """
+    """Tension and shear of a blank with `pairs`, six nodes a stencil (three twice if alone)."""
 
     def __init__(self, sheet: Sheet) -> None:
         super().__init__(sheet)
@@ -77,7 +70,6 @@ class PairedMembrane(Membrane):
         return normals
 
     def energy(self, x: FloatArray, state: None = None) -> FloatArray:
-        """Energy of each pair, mJ."""
         _, _, I4, I6, I8 = self._at(x)
         fabric = self.fabric
         tension = fabric.warp.energy(I4, 1.0) + fabric.weft.energy(I8, 1.0)
@@ -93,7 +85,6 @@ class PairedMembrane(Membrane):
         return tension, shear
 
     def gradient(self, x: FloatArray, state: None = None) -> FloatArray:
-        """(n_pairs, 6 dim) nodal forces, N."""
         f, each = self._at(x)[:2]
         tension, shear = self._stresses(x)
         forces = nodal_forces(self.g_mean, self.whole * tension, f)
@@ -111,10 +102,6 @@ class PairedMembrane(Membrane):
     def hessian(
         self, x: FloatArray, state: None, convex: bool, stress: FloatArray | None = None
     ) -> FloatArray:
-        """(n_pairs, 6 dim, 6 dim) stiffness, N/mm; positive semi-definite with `convex`.
-
-        A foreseen tension takes the place of that at x.
-        """
         f, each, I4, I6, I8 = self._at(x)
         tension, shear = self._stresses(x)
         tension = tension if stress is None else stress

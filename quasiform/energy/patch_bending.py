@@ -17,21 +17,14 @@ from scipy.sparse import csr_array
 from ..unknowns import Sheet
 from .bending import Bending
 
-FloatArray = np.ndarray
 NEIGHBOURS = 9  # at most; five are needed
 
 
 class PatchBending(Bending):
-    """Bending of warp and weft at every node of a blank on any mesh.
-
-    Parameters
-    ----------
-    sheet : Sheet
-        In space.
-    """
+    """Bending of warp and weft at every node of a sheet in space, on any mesh."""
 
     def __init__(self, sheet: Sheet) -> None:
-        blank = sheet.blank
+        self.sheet, blank = sheet, sheet.blank
         n, edges = len(blank.nodes), blank.mesh.facets
         ones = np.ones(2 * edges.shape[1])
         ring = csr_array((ones, (np.r_[edges[0], edges[1]], np.r_[edges[1], edges[0]])), (n, n))
@@ -54,4 +47,4 @@ class PatchBending(Bending):
             for row, term in enumerate((2, 4, 0, 1)):
                 rows[i, row, 1 : 1 + len(near)] = fit[term, :, None]
                 rows[i, row, 0] = -fit[term].sum()
-        self._set(sheet, nodes, rows, np.zeros((n, 4, 3)), blank.node_areas)
+        self._set(nodes, rows, np.zeros((n, 4, 3)), blank.node_areas)

@@ -25,10 +25,7 @@ from typing import Any
 import numpy as np
 
 from ..net.transfer import interpolated
-from ..unknowns import Unknowns
-
-FloatArray = np.ndarray
-IntArray = np.ndarray
+from ..unknowns import FloatArray, IntArray, Unknowns
 
 
 class Term:
@@ -40,83 +37,72 @@ class Term:
 
     name: str = "term"
     dofs: IntArray
-    quadratic: bool = False
-    """The Hessian is the same everywhere: it is evaluated and summed once."""
+    quadratic: bool = False  # the Hessian is the same everywhere: it is summed once
+    # few stencils act at a time: `active(x, state)` gives their numbers, and `hessian` takes these
+    # as a last argument `rows`
     selective: bool = False
-    """Few stencils act at a time: `active(x, state)` gives their numbers, and `hessian` takes these
-    as a last argument `rows`."""
-    foresees: bool = False
-    """`hessian` takes a last argument `stress`, that which `foreseen_stress(x, dx)` returned."""
+    foresees: bool = False  # `hessian` takes the `stress` that `foreseen_stress(x, dx)` returned
+    # fields of the state that `refresh` brings to a fixed point, and that cannot be negative: the
+    # solver may extrapolate them
     mixed: tuple[str, ...] = ()
-    """Fields of the state that `refresh` brings to a fixed point, and that cannot be negative: the
-    solver may extrapolate them."""
 
     def stencils(self, state: Any) -> IntArray:
         """(n_stencils, n_local) numbers in x; another table where the stencils change."""
         return self.dofs
 
     def energy(self, x: FloatArray, state: Any) -> FloatArray:
+        """(n_stencils,) energies, mJ, at x (n_dofs,) with a state."""
         raise NotImplementedError
 
     def gradient(self, x: FloatArray, state: Any) -> FloatArray:
+        """(n_stencils, n_local) derivatives by the unknowns of each stencil, N."""
         raise NotImplementedError
 
     def hessian(self, x: FloatArray, state: Any, convex: bool) -> FloatArray:
+        """(n_stencils, n_local, n_local) second derivatives, N/mm; `convex`: semi-definite."""
         raise NotImplementedError
 
     def initial(self, x: FloatArray) -> Any:
+        """State at the start of a run, at x (n_dofs,): a frozen dataclass of arrays, or None."""
         return None
 
     def refresh(self, x: FloatArray, state: Any) -> Any:
+        """State with lagged values taken from x, between two solves of Newton's method."""
         return state
 
     def commit(self, x: FloatArray, state: Any) -> Any:
+        """State after a converged increment that ends at x."""
         return state
 
     def dissipated(self, before: Any, after: Any, x: FloatArray) -> float:
+        """Energy lost between two committed states, the last one at x, mJ."""
         return 0.0
 
     def carried(self, state: Any, old: Standing | None, new: Standing) -> Any:
-        """Carry the state to another mesh: its arrays, one row a stencil, are interpolated.
+        """Carry a state to another mesh: its arrays, one row a stencil, are interpolated.
 
-        Parameters
-        ----------
-        state : dataclass of arrays or None
-            On the other mesh; None where the term is not there.
-        old, new : Standing
-            This term on the other mesh (None where it is not there), and here.
+        `old` is this term on the other mesh (None where it is not there), and `new` here.
         """
         if state is None or old is None:
             return self.initial(new.x)
         values = {f.name: getattr(state, f.name) for f in fields(state)}
-        return replace(
-            state,
-            **{
-                name: interpolated(old.places, value, new.places)
-                for name, value in values.items()
-                if isinstance(value, np.ndarray) and len(value) == len(old.places)
-            },
-        )
+        by_stencil = {
+            name: interpolated(old.places, value, new.places)
+            for name, value in values.items()
+            if isinstance(value, np.ndarray) and len(value) == len(old.places)
+        }
+        return replace(state, **by_stencil)
 
 
 @dataclass(frozen=True, eq=False)
 class Standing:
-    """A term on one mesh, at the end of a run.
-
-    Parameters
-    ----------
-    term : Term
-    unknowns : Unknowns
-    state : dataclass of arrays or None
-    x, before : (n_dofs,) arrays, mm
-        At the end, and one increment earlier.
-    """
+    """A term on one mesh, at the end of a run."""
 
     term: Term
     unknowns: Unknowns
     state: Any
-    x: FloatArray
-    before: FloatArray
+    x: FloatArray  # (n_dofs,)
+    before: FloatArray  # (n_dofs,), one increment earlier
 
     @property
     def places(self) -> FloatArray:

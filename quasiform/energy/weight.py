@@ -4,26 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..unknowns import Sheet
+from ..unknowns import FloatArray, Sheet
 from .term import Term
 
-FloatArray = np.ndarray
 GRAVITY = 9.81e-3  # N/g
 
 
 class SheetWeight(Term):
     """Weight of the sheet: E = q Σ w_i z_i with the load factor q as a degree of freedom.
 
-    Raising q from 0 to 1 as the driven degree of freedom applies the weight in increments.
-
-    Parameters
-    ----------
-    sheet : Sheet
-        In space.
-    load : float
-        Weight per area at q = 1, N/mm².
-    factor_dof : int
-        Number of q in x.
+    Raising q from 0 to 1 as the driven degree of freedom applies the weight in increments: `load`,
+    N/mm² at q = 1, with the number of q in x.
     """
 
     name = "weight of the sheet"
@@ -34,48 +25,31 @@ class SheetWeight(Term):
         self.force = load * sheet.blank.node_areas
 
     def energy(self, x: FloatArray, state: None = None) -> FloatArray:
-        """(n_nodes,) energy, mJ."""
         z, q = x[self.dofs].T
         return self.force * q * z
 
     def gradient(self, x: FloatArray, state: None = None) -> FloatArray:
-        """(n_nodes, 2) derivatives by z and q."""
         z, q = x[self.dofs].T
         return self.force[:, None] * np.column_stack([q, z])
 
     def hessian(self, x: FloatArray, state: None, convex: bool) -> FloatArray:
-        """(n_nodes, 2, 2); only the mixed derivative by z and q, which is not a stiffness."""
+        """Only the mixed derivative by z and q, which is not a stiffness."""
         H = np.zeros((len(self.force), 2, 2))
         H[:, 0, 1] = H[:, 1, 0] = self.force
         return H
 
 
 class ToolWeight(Term):
-    """Weight of a floating tool and what else presses it down: E = P z.
+    """Weight P, N, of a floating tool and what else presses it down: E = P z."""
 
-    Parameters
-    ----------
-    load : float
-        P, N (its share of the modelled part of the sheet).
-    height_dof : int
-    name : str
-    """
-
-    def __init__(
-        self, load: float, height_dof: int, name: str = "weight of the blank holder"
-    ) -> None:
-        self.name = name
-        self.dofs = np.array([[height_dof]])
-        self.force = load
+    def __init__(self, load: float, dof: int, name: str = "weight of the blank holder") -> None:
+        self.name, self.dofs, self.force = name, np.array([[dof]]), load
 
     def energy(self, x: FloatArray, state: None = None) -> FloatArray:
-        """(1,) energy, mJ."""
         return self.force * x[self.dofs[0]]
 
     def gradient(self, x: FloatArray, state: None = None) -> FloatArray:
-        """(1, 1) weight, N."""
         return np.array([[self.force]])
 
     def hessian(self, x: FloatArray, state: None, convex: bool) -> FloatArray:
-        """(1, 1, 1) zeros."""
         return np.zeros((1, 1, 1))

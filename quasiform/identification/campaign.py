@@ -24,53 +24,254 @@ family = "warp"
 overhang = [166.0, 163.0]
 """
 
-from __future__ import annotations
-
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal, Self
 
-from ..checks import InputError
+import numpy as np
+from pydantic import Discriminator, Field, StrictStr, Tag, create_model
+
+from ..checks import InputError, check_number, suggestion
+from ..fabric import Fabric, fabric_of
+from ..schema import OPEN, Table, checked, number, path, validated
+from ..tables import read_numbers
 from ..toml_file import read_toml
-from .campaign_parts import ASSUMED, KINDS, METHODS, SIZES, VALUES, Campaign, ShearTest
+from .cantilever import Stiffness, from_profile, from_repeats, from_tip
+from .energy_method import Forces
+from .fit import ALGORITHMS, check_kept
+from .records import Curve, mean_of, read, rows_of
+from .specimen import OffAxis, PictureFrame, Specimen
 
-__all__ = ["ASSUMED", "KINDS", "METHODS", "VALUES", "Campaign", "ShearTest", "load"]
-OF_ONE_TEST = ("kind", "columns", "units", *(size for sizes in SIZES.values() for size in sizes))
+METHODS = {
+    "fit": "six parameters by the power balance (Eq. 10, energy-consistent)",
+    "inverse": "six parameters, finite-element tests in the loop",
+    "table": "table by the power balance (Eq. 10, energy-consistent)",
+    "as-printed": "six parameters by Eq. 10 as printed, which does not conserve energy",
+}
+KINDS = {"off-axis": OffAxis, "picture-frame": PictureFrame}
+SIZES = {kind: tuple(f.name for f in fields(specimen)) for kind, specimen in KINDS.items()}
+SETTINGS = ("method", "keep", "algorithm", "size")
+VALUES = tuple(f.name for f in fields(Fabric) if f.name not in ("name", "provenance"))
+ASSUMED = "assumed: that of "  # begins the origin of a value that no test and no user gave
+LOWEST = 0.5  # degrees: below, a specimen settles in its grips
 
 
-def load(path: str | Path, **given: Any) -> Campaign:
+@dataclass(frozen=True)
+class ShearTest:
+    """Repeats of one test in shear, ready for identification."""
+
+    name: str
+    specimen: Specimen
+    curve: Curve  # their mean
+    low: float = LOWEST  # smallest and largest shear angle that is used, degrees
+    high: float = 90.0
+
+    def forces(self, thickness: float, as_printed: bool = False) -> Forces:
+        """The test in the power balance; `thickness` in mm."""
+        try:
+            shares, angles = self.specimen.shares(self.curve, thickness, as_printed)
+        except InputError as error:
+            raise InputError(f"{self.name}: {error}") from error
+        return Forces(self.curve.force, self.curve.sigma, shares, angles)
+
+    def cut(self) -> Self:
+        """The same test without the rows outside its angles; InputError if 8 are not left."""
+        gamma, curve = np.degrees(self.forces(1.0).angles[0]), self.curve
+        used = (gamma >= self.low) & (gamma > 0) & (gamma <= self.high) & (curve.force > 0)
+        if used.sum() < 8:
+            raise InputError(
+                f"{self.name}: only {rows_of(int(used.sum()))} with a positive force between "
+                f"{self.low:g} and {self.high:g} degrees of shear, expected at least 8"
+            )
+        columns = {k: v[used] for k, v in vars(curve).items() if isinstance(v, np.ndarray)}
+        return replace(self, curve=replace(curve, **columns))
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """Tests on one fabric, and how it shall be identified from them."""
+
+    name: str
+    fabric: Fabric  # of what the tests do not say; its provenance may say where a value comes from
+    shear: tuple[ShearTest, ...] = ()
+    bending: Mapping[str, Stiffness] = field(default_factory=dict)  # of "warp" and "weft"
+    method: str = "fit"  # a key of METHODS
+    keep: Mapping[str, float] = field(default_factory=dict)  # parameters that are not fitted
+    algorithm: str = "least-squares"
+    size: float = 14.0  # cell edge of the finite-element tests, mm
+    standing: str = "measured"  # of the data
+    sources: tuple[Path, ...] = ()  # files it was read from
+
+    def __post_init__(self) -> None:
+        for name, known in (("method", METHODS), ("algorithm", ALGORITHMS)):
+            value = getattr(self, name)
+            if not isinstance(value, str) or value not in known:
+                raise InputError(f"unknown {name} {value!r}: {suggestion(str(value), known)}")
+        check_number("size", self.size)
+        check_kept(self.keep)
+        if not self.shear and not self.bending:
+            raise InputError("no tests: expected at least one [[tests]]")
+        if self.method == "inverse" and self.algorithm != "least-squares":
+            raise InputError("the inverse method knows no other algorithm than 'least-squares'")
+        if self.method == "table" and self.keep:
+            raise InputError("a table has no parameters to keep: choose method 'fit' or 'inverse'")
+
+
+def load(file: str | Path, **given: Any) -> Campaign:
     """Read a campaign from a TOML file, or from the CSV file of one test.
 
-    Parameters
-    ----------
-    path : path
-    **given
-        Settings that replace those of the file: method, keep, algorithm, size, name; of a CSV file
-        also kind, length, width, angle, side, fabric_side, thickness, columns, units.
-
-    Raises
-    ------
-    InputError
-        In one line that names file, key and what was expected.
+    `given` replaces method, keep, algorithm, size and name of a file. Of a CSV file it also has
+    kind, length, width, angle, side, fabric_side, thickness, columns, units, from, to.
     """
-    from .campaign_schema import read_campaign  # pydantic
-
-    path = Path(path)
-    if path.suffix.lower() == ".toml":
+    file = Path(file)
+    sizes = [size for names in SIZES.values() for size in names]
+    if file.suffix.lower() == ".toml":
         for key in given:
-            if key in OF_ONE_TEST or key == "thickness":
+            if key in (*sizes, "kind", "columns", "units", "thickness"):
                 where = "[fabric]" if key == "thickness" else "[[tests]]"
-                raise InputError(f"{path}: {key} belongs into the file, under {where}")
-        return read_toml(path, lambda table: read_campaign(table | given, path))
+                raise InputError(f"{file}: {key} belongs into the file, under {where}")
+        return read_toml(file, lambda table: _campaign(table | given, file))
     kind = given.get("kind", "off-axis")
     for key in given:
-        if any(key in sizes for sizes in SIZES.values()) and key not in SIZES.get(kind, (key,)):
-            raise InputError(f"{path}: {key} is not a size of the {kind} test")
-    settings = {k: v for k, v in given.items() if k in ("method", "keep", "algorithm", "size")}
-    test = {k: v for k, v in given.items() if k not in settings and k not in ("thickness", "name")}
-    table: dict[str, Any] = {"name": given.get("name", path.stem), **settings}
-    if "thickness" in given:
-        table["fabric"] = {"thickness": given["thickness"]}
-    table["tests"] = [{"kind": "off-axis", **test, "files": [str(path.absolute())]}]
-    campaign = read_campaign(table, path)
-    return replace(campaign, sources=(path,))
+        if key in sizes and key not in SIZES.get(kind, sizes):
+            raise InputError(f"{file}: {key} is not a size of the {kind} test")
+    table = {key: value for key, value in given.items() if key in SETTINGS}
+    fabric = {key: value for key, value in given.items() if key == "thickness"}
+    test = {k: v for k, v in given.items() if k not in (*SETTINGS, "thickness", "name")}
+    test = {"kind": kind, **test, "files": [str(file.absolute())]}
+    table |= {"name": given.get("name", file.stem), "fabric": fabric, "tests": [test]}
+    return replace(_campaign(table, file), sources=(file,))
+
+
+# The schema of a file; specimens and fabrics check their numbers themselves
+
+
+def _files(value: Any) -> list[str]:
+    files = [value] if isinstance(value, str) else value
+    if not isinstance(files, list) or not files or not all(isinstance(f, str) for f in files):
+        raise InputError(f"= {files!r}: expected a list of files")
+    return files
+
+
+ANY = (Any, OPEN)
+
+
+class _Shear(Table):
+    files: checked(_files)
+    columns: dict[str, StrictStr] = OPEN
+    units: dict[str, StrictStr] = OPEN
+    low: Annotated[number("Smallest shear angle", "deg", zero=True), Field(alias="from")] = LOWEST
+    high: Annotated[number("Largest shear angle", "deg"), Field(alias="to")] = 90.0
+
+
+class _Cantilever(Table):
+    kind: Literal["cantilever"]
+    family: Literal["warp", "weft"]
+    overhang: Any = OPEN
+    angle: Any = 41.5
+    length: Any = OPEN
+    tip: Any = OPEN
+    profile: path("Table of x and drop, mm") = OPEN
+
+
+def kind(table: Any) -> str | None:
+    """Which model a test has."""
+    return str(table.get("kind")) if isinstance(table, Mapping) else None
+
+
+_STRIP, _FRAME = (
+    create_model(name, __base__=_Shear, kind=(Literal[name], ...), **dict.fromkeys(sizes, ANY))
+    for name, sizes in SIZES.items()
+)
+TEST = Annotated[
+    Annotated[_STRIP, Tag("off-axis")]
+    | Annotated[_FRAME, Tag("picture-frame")]
+    | Annotated[_Cantilever, Tag("cantilever")],
+    Discriminator(kind),
+]
+NAMES = ("thickness", "areal_weight", "bending_warp", "bending_weft", "friction")
+_Fabric = create_model("Fabric", __base__=Table, base=(Any, "locking"), **dict.fromkeys(NAMES, ANY))
+
+
+class _File(Table):
+    name: StrictStr = OPEN
+    method: Any = OPEN
+    keep: dict[str, Any] = {}  # noqa: RUF012
+    algorithm: Any = OPEN
+    size: Any = OPEN
+    standing: StrictStr = "measured"
+    fabric: _Fabric = _Fabric()
+    tests: list[TEST] = []  # noqa: RUF012
+
+
+def _campaign(table: Mapping[str, Any], file: Path) -> Campaign:
+    """The campaign of a table; its paths are relative to `file`."""
+    given = validated(_File, table, file.parent)
+    fabric = _fabric(given.fabric, file.parent)
+    shear, bending, sources = [], {}, [file]
+    for i, test in enumerate(given.tests, start=1):
+        try:
+            if isinstance(test, _Cantilever):
+                if test.family in bending:
+                    raise InputError(f"family {test.family!r} is there twice: give its repeats")
+                bending[test.family] = _stiffness(test, fabric)
+                sources += [test.profile] if test.profile else []
+                continue
+            keys = test.model_dump(include=set(SIZES[test.kind]), exclude_unset=True)
+            specimen = KINDS[test.kind](**keys)
+        except InputError as error:
+            raise InputError(f"[tests {i}] {error}") from error
+        paths = [file.parent / name for name in test.files]
+        shear.append(_shear_test(test, specimen, paths))
+        sources += [path for path in paths if path not in sources]
+    settings = given.model_dump(include={*SETTINGS, "standing"}, exclude_defaults=True)
+    name = file.stem if given.name is None else given.name
+    return Campaign(name, fabric, tuple(shear), bending, sources=tuple(sources), **settings)
+
+
+def _fabric(table: Table, folder: Path) -> Fabric:
+    base = str(table.base)
+    fabric = fabric_of(folder / base if base.endswith(".toml") else base)
+    given = table.model_dump(exclude_unset=True, exclude={"base"})
+    origins = dict.fromkeys(VALUES, f"{ASSUMED}{fabric.name}")
+    for name in origins.keys() & fabric.provenance.keys():
+        known = str(fabric.provenance[name])
+        passed_on = known.startswith((ASSUMED, "that of "))
+        origins[name] = known if passed_on else f"that of {fabric.name}: {known}"
+    return replace(fabric, **given, provenance=origins | dict.fromkeys(given, "given"))
+
+
+def _shear_test(test: _Shear, specimen: Specimen, paths: list[Path]) -> ShearTest:
+    name = " + ".join(path.name for path in paths)
+    curve = mean_of([read(path, test.columns, test.units) for path in paths])
+    if words := specimen.described(curve):
+        names = [name for name in SIZES[test.kind] if getattr(specimen, name)]
+        unset = [name for name in names if name not in test.model_fields_set]
+        end = f"; not given, defaults: {', '.join(unset)}." if unset else "."
+        curve = replace(curve, notices=(f"Taken as a {words}{end}", *curve.notices))
+    if curve.per_length and test.kind == "off-axis":
+        raise InputError(f"{name}: a force per length is that of a picture frame, not of a strip")
+    return ShearTest(name, specimen, curve, test.low, test.high).cut()
+
+
+def _stiffness(test: _Cantilever, fabric: Fabric) -> Stiffness:
+    given = [key for key in ("overhang", "tip", "profile") if key in test.model_fields_set]
+    weight = fabric.areal_weight
+    if len(given) != 1:
+        raise InputError(f"expected one of overhang, tip, profile, got {given or 'none'}")
+    if given == ["overhang"]:
+        return from_repeats(test.overhang, test.angle, weight)
+    if "length" not in test.model_fields_set:
+        raise InputError("length missing: the free length of the strip")
+    try:
+        if given == ["tip"]:
+            x, drop = np.atleast_2d(np.array(test.tip, dtype=float)).T
+            return from_tip(x, drop, test.length, weight)
+        x, drop = read_numbers(test.profile, most=2)[2].T
+        return from_profile(x, drop, weight, test.length)
+    except InputError:
+        raise
+    except (ValueError, TypeError) as error:
+        expected = "expected numbers in mm, two columns x, drop"
+        raise InputError(f"{given[0]}: {expected}: {error}") from error

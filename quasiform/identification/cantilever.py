@@ -50,16 +50,14 @@ def from_overhang(
 ) -> Numbers:
     """Bending stiffness B, N mm, from the overhang at which the chord to the tip has an angle.
 
-    Overhang (mm) and angle from the edge of the clamp to the tip below the horizontal (degrees) are
-    (...) arrays or single numbers, the weight is in g/m². `classical`: by Peirce's formula instead
-    of the exact curve. InputError for what is not positive and angles outside (0, 90).
+    Overhang (mm) and angle from the clamp's edge to the tip below the horizontal (degrees) are
+    (...) arrays or numbers, the weight is in g/m². `classical`: by Peirce's formula.
 
     >>> round(from_overhang(165.0, 41.5, 600.0), 3)
     3.303
     """
-    L, angle = _arrays(length=length, angle=angle)
+    L, angle = _arrays("length", length=length, angle=angle)
     w = _weight(areal_weight)
-    _check_positive(length=L)
     for wrong in angle[(angle <= 0) | (angle >= 90)][:1]:
         raise InputError(f"angle must lie between 0 and 90 degrees, got {wrong:g}")
     k = _peirce(np.radians(angle)) if classical else np.vectorize(_load_of_chord)(angle)
@@ -80,12 +78,10 @@ def from_tip(x: Numbers, drop: Numbers, length: Numbers, areal_weight: float) ->
     """Bending stiffness from the position of the tip: the k whose tip is nearest.
 
     Reach and drop of the tip from the edge of the clamp and the free length L (mm) are (n,) arrays
-    of repeats or single numbers, the weight is in g/m². InputError for numbers out of range, arrays
-    of different sizes, and a tip beyond the strip's length.
+    of repeats or single numbers, the weight is in g/m².
     """
-    x, drop, L = (np.atleast_1d(each) for each in _arrays(x=x, drop=drop, length=length))
-    w = _weight(areal_weight)
-    _check_positive(length=L, x=x, drop=drop)
+    arrays = _arrays("length", "x", "drop", x=x, drop=drop, length=length)
+    (x, drop, L), w = map(np.atleast_1d, arrays), _weight(areal_weight)
     _check_reach("tip", x, drop, L)
     fits = [_fit(lambda k, tip=tip: _curve(k)(1.0) - tip) for tip in np.c_[x / L, drop / L]]
     k, misfit = np.array([(k, np.linalg.norm(distance)) for k, distance, _ in fits]).T
@@ -100,8 +96,7 @@ def from_profile(x: FloatArray, drop: FloatArray, areal_weight: float, length: f
     3, in any order; they need not reach the tip. The weight is in g/m², the free length L of the
     whole strip in mm. The standard error assumes independent noise of one size. A misfit above the
     precision of the measurement means that the strip was curled, the clamp was tilted or the
-    stiffness is not one number. `classical` is that of the fitted curve. InputError as `from_tip`,
-    and for points from which no stiffness follows.
+    stiffness is not one number. `classical` is that of the fitted curve.
     """
     x, drop = _arrays(x=x, drop=drop)
     w, L = _weight(areal_weight), float(check_number("length", length))
@@ -112,10 +107,8 @@ def from_profile(x: FloatArray, drop: FloatArray, areal_weight: float, length: f
     k, distances, slope = _fit(lambda k: _normal_distances(k, points))
     B, squares = w * L**3 / k, distances @ distances
     deviation = np.sqrt(squares / (len(x) - 1) / (slope @ slope))  # of log k, hence relative
-    classical = w * L**3 / _peirce(_chord(k))
-    return Stiffness(
-        B, float(B * deviation), float(classical), float(L * np.sqrt(squares / len(x)))
-    )
+    classical, rms = w * L**3 / _peirce(_chord(k)), L * np.sqrt(squares / len(x))
+    return Stiffness(B, float(B * deviation), float(classical), float(rms))
 
 
 def _peirce(angle: FloatArray) -> FloatArray:
@@ -127,15 +120,13 @@ def _peirce(angle: FloatArray) -> FloatArray:
 def _load_of_chord(angle: float) -> float:
     """The k at which the chord to the tip has an angle, degrees."""
     if angle > 89.5:
-        raise InputError(
-            f"at an angle of {angle:g} degrees the strip hangs straight down: shorten the overhang"
-        )
+        words = f"at an angle of {angle:g} degrees the strip hangs straight down"
+        raise InputError(f"{words}: shorten the overhang")
     # 8 tan θ where the strip is nearly straight, 2 tan² θ where it nearly hangs
     theta, tangent = np.radians(angle), np.tan(np.radians(angle))
     range_ = np.log([4 * tangent, 16 * tangent + 4 * tangent**2])
-    return float(
-        np.exp(sp.optimize.brentq(lambda p: _chord(np.exp(p)) - theta, *range_, xtol=1e-12))
-    )
+    log_k = sp.optimize.brentq(lambda p: _chord(np.exp(p)) - theta, *range_, xtol=1e-12)
+    return float(np.exp(log_k))
 
 
 def _chord(k: float) -> float:
@@ -196,7 +187,7 @@ def _weight(areal_weight: Any) -> float:
     return 1e-6 * GRAVITY * float(check_number("areal_weight", areal_weight))
 
 
-def _arrays(**given: Any) -> list[FloatArray]:
+def _arrays(*positive: str, **given: Any) -> list[FloatArray]:
     """Arrays of finite numbers of one shape; each is given in that shape or as one number."""
     arrays = {}
     for name, values in given.items():
@@ -209,19 +200,15 @@ def _arrays(**given: Any) -> list[FloatArray]:
     if len({array.shape for array in arrays.values()} - {()}) > 1:
         counts = " and ".join(f"{array.size} of {name}" for name, array in arrays.items())
         raise InputError(f"the arrays do not match: {counts}")
+    for name in positive:
+        check_number(name, float(arrays[name].min()))
     return [np.array(array) for array in np.broadcast_arrays(*arrays.values())]
-
-
-def _check_positive(**arrays: FloatArray) -> None:
-    for name, values in arrays.items():
-        check_number(name, float(values.min()))
 
 
 def _check_reach(what: str, x: FloatArray, drop: FloatArray, L: FloatArray | float) -> None:
     """Refuse points farther from the clamp than the strip is long, by more than 2 %."""
     reach = np.hypot(x, drop)
     worst = np.argmax(reach / L)
-    if reach[worst] / np.broadcast_to(L, reach.shape)[worst] > 1.02:
-        raise InputError(
-            f"the {what} lies {reach[worst]:.4g} mm from the clamp, further than the strip is long"
-        )
+    if (reach / L)[worst] > 1.02:
+        words = f"the {what} lies {reach[worst]:.4g} mm from the clamp"
+        raise InputError(f"{words}, further than the strip is long")

@@ -114,8 +114,7 @@ def fit(
 ) -> Fit:
     """Fit the three-stage law by the power balance, from the curve of the energy method.
 
-    Parameters in `keep`, such as onset and stiffness of locking, are not fitted. InputError for
-    unknown names or values out of range.
+    Parameters in `keep`, such as onset and stiffness of locking, are not fitted.
     """
     keep = check_kept(keep)
     if algorithm not in ALGORITHMS:
@@ -145,10 +144,7 @@ def check_kept(keep: Mapping[str, float] | None) -> dict[str, float]:
 
 
 def search(tests: Sequence[Forces], unknowns: Unknowns, tolerance: float = 1e-10) -> Trial:
-    """Bounded least squares of the residuals of all tests, or models of tests.
-
-    InputError if a test cannot be solved under the law at the start.
-    """
+    """Bounded least squares of the residuals of all tests, or models of tests."""
 
     @lru_cache(maxsize=1)
     def both(point: bytes) -> Sequence[FloatArray]:

@@ -6,14 +6,14 @@ import csv
 import hashlib
 import json
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import asdict, astuple, dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from datetime import date
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..checks import InputError
+from ..checks import naming
 from ..fabric import Fabric
 from ..result.files import replaced
 from ..result.summary import package_version
@@ -23,6 +23,7 @@ from .fit import Fit, Parameter, fit
 from .inverse import identify_by_elements
 
 STRESS = ("shear_angle_deg", "S12_MPa", "S12_low_MPa", "S12_high_MPa", "S12_law_MPa")
+PARAMETER = ("name", "value", "low_95", "high_95", "unit", "state")
 FILES = ("material.toml", "parameters.csv", "stress.csv", "summary.json", "identification.png")
 
 
@@ -54,24 +55,10 @@ class Identification:
     notices: tuple[str, ...]
 
     def save(self, out: str | Path, *, force: bool = False) -> Path:
-        """Write material.toml, parameters.csv, stress.csv, summary.json and the picture.
-
-        Parameters
-        ----------
-        out : path
-            Folder; made if missing.
-        force : bool
-            Replace an earlier identification.
-
-        Raises
-        ------
-        InputError
-            If the folder holds such files already and `force` is not set, or cannot be written.
-        """
+        """Write `FILES` to the folder `out`; `force` replaces those that are there already."""
         with replaced(out, force=force, names=FILES) as folder:
             self.fabric.save(folder / "material.toml")
-            head = ["name", "value", "low_95", "high_95", "unit", "state"]
-            _write(folder / "parameters.csv", head, [astuple(p) for p in self.parameters])
+            _write(folder / "parameters.csv", PARAMETER, [astuple(p) for p in self.parameters])
             summary = json.dumps(self.summary(), indent=2, allow_nan=False)
             (folder / "summary.json").write_text(summary + "\n", encoding="utf-8")
             if self.curve is not None:
@@ -89,7 +76,7 @@ class Identification:
             "version": package_version(),
             "provenance": dict(self.fabric.provenance),
             "parameters": [
-                {k: None if v != v else v for k, v in asdict(p).items()} for p in self.parameters
+                {k: None if v != v else v for k, v in vars(p).items()} for p in self.parameters
             ],
             "stages_deg": None if self.fitted is None else list(self.fitted.stages),
             "notices": list(self.notices),
@@ -166,8 +153,7 @@ def _shear(campaign: Campaign) -> tuple[StressCurve, Fit | None]:
         return curve, None
     fitted = fit(forces, curve, campaign.keep, campaign.algorithm)
     if campaign.method == "inverse":
-        pairs = zip(campaign.shear, forces, strict=True)
-        tests = [(test.specimen, test.curve, force) for test, force in pairs]
+        tests = [(t.specimen, t.curve, f) for t, f in zip(campaign.shear, forces, strict=True)]
         fitted = identify_by_elements(tests, fitted, campaign.fabric, campaign.size, campaign.keep)
     return curve, fitted
 
@@ -225,10 +211,8 @@ def _provenance(
         entries["kept"] = ", ".join(f"{k} = {v:g}" for k, v in campaign.keep.items())
     for number, path in enumerate(campaign.sources, start=1):
         entries[f"source_{number}"] = path.name
-        try:
+        with naming(path):
             entries[f"sha256_{number}"] = hashlib.sha256(path.read_bytes()).hexdigest()
-        except OSError as error:
-            raise InputError(f"{path}: {error.strerror or error}") from error
     return entries
 
 

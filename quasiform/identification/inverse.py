@@ -47,7 +47,6 @@ def identify_by_elements(
     """Fit the three-stage law to tests solved by finite elements of an edge `size`, mm.
 
     The fit starts from that by the power balance, whose choice of a third stage is tried first.
-    Parameters in `keep` are not fitted. InputError if a test cannot be solved at the start.
     """
     keep = dict(keep or {})
     if len(keep) == len(NAMES):

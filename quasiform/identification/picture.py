@@ -70,8 +70,7 @@ def _draw_stress(axes: Axes, identification: Any) -> None:
         # the stress of single rows: the rest of the force acts in the zone of full shear
         others = curve.stress(np.minimum(np.sin(forces.angles[1:]), curve.spline.t[-1]))
         value = (forces.force - (forces.shares[1:] * others).sum(0)) / forces.shares[0]
-        label = fill(f"{standing}: {_short(test.name)}", 44)
-        _draw_points(axes, forces, value, marker, label)
+        _draw_points(axes, forces, value, marker, f"{standing}: {_short(test.name)}")
     axes.fill_between(gamma, low, high, color=FIRST, alpha=0.2, lw=0)
     axes.plot(gamma, S, color=FIRST, label="energy method, 95 %")
     if identification.fitted is not None:
@@ -82,8 +81,8 @@ def _draw_stress(axes: Axes, identification: Any) -> None:
         preset = Fabric.preset(name)
         tallest = _tallest(preset, curve.high, TALLEST * S.max())
         if tallest is None:
-            words = f"{preset.name} (paper):\nnot drawn, over {TALLEST:g} times as high"
-            axes.plot([], [], " ", label=words)
+            label = f"{preset.name} (paper):\nnot drawn, over {TALLEST:g} times as high"
+            axes.plot([], [], " ", label=label)
             continue
         top = max(top, tallest)
         value = preset.shear.stress(np.sin(np.radians(gamma)))
@@ -95,15 +94,14 @@ def _draw_stress(axes: Axes, identification: Any) -> None:
 
 def _draw_points(axes: Axes, forces: Forces, value: np.ndarray, marker: str, label: str) -> None:
     shown = np.unique(np.linspace(0, len(value) - 1, SHOWN).astype(int))
-    angle = np.degrees(forces.angles[0])
-    axes.plot(angle[shown], value[shown], marker, label=label, **POINTS)
+    angle = np.degrees(forces.angles[0][shown])
+    axes.plot(angle, value[shown], marker, label=fill(label, 44), **POINTS)
 
 
 def _tallest(preset: Fabric, high: float, limit: float) -> float | None:
-    """Stress of a preset up to which the axis reaches, MPa; None where that is above the limit.
+    """Stress of a preset at the largest tested angle, degrees, or at its onset of locking, MPa.
 
-    It is that at the largest tested angle, degrees. A law that locks before that angle is shown up
-    to its onset.
+    None where both are above the limit.
     """
     I6 = np.sin(np.radians(min(high, 90.0)))
     values = (float(preset.shear.stress(at)) for at in (I6, min(I6, preset.shear.I_lo)))
@@ -115,8 +113,7 @@ def _draw_forces(axes: Axes, identification: Any) -> None:
     for test, forces, marker in _tests(identification):
         strip = isinstance(test.specimen, OffAxis)
         kind = f"off-axis {test.specimen.angle:g}°" if strip else "frame"
-        label = fill(f"{kind}, {_short(campaign.standing)}", 44)
-        _draw_points(axes, forces, forces.force, marker, label)
+        _draw_points(axes, forces, forces.force, marker, f"{kind}, {_short(campaign.standing)}")
         angle, predicted = np.degrees(forces.angles[0]), forces.predicted(fabric.shear)
         axes.plot(angle, predicted, color=SECOND, label=f"{kind}, power balance")
     per_length = [test.curve.per_length for test in campaign.shear]

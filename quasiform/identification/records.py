@@ -8,27 +8,28 @@ decided is refused.
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import permutations
 from pathlib import Path
 
 import numpy as np
 
 from .. import tables
-from ..checks import InputError, check_keys, suggestion
+from ..checks import InputError, check_keys, naming, suggestion
 from ..tables import (
     FIRST_NAMES,
     SECOND_NAMES,
     Row,
+    first_of_numbers,
     is_number,
     is_numeric,
+    is_unit,
     known_unit,
     name_unit,
     numbers_in,
     plain,
-    rows_in,
-    text_of,
+    read_rows,
 )
 
 FloatArray = np.ndarray
@@ -40,39 +41,22 @@ DROP = 0.2  # of the largest force; a specimen whose force drops by more is torn
 LARGEST = 1e9  # mm, N, rad or N/mm
 SMALL = 0.02  # of the largest force: near zero, and where relative noise becomes absolute
 OFFSET = 0.05  # of the largest force; a constant level above is friction, not a load cell's offset
+OTHERS = {"displacement": "shear_angle", "force": "shear_force"}
+SECOND = {quantity: tables.SECOND[quantity] for quantity in OTHERS}
 QUANTITIES = ("displacement", "force", "shear_angle", "shear_force")
-NAMES = {quantity: tables.NAMES[quantity] for quantity in QUANTITIES}
-SECOND = {quantity: tables.SECOND[quantity] for quantity in QUANTITIES[:2]}
-UNITS = {quantity: tables.UNITS[quantity] for quantity in QUANTITIES}
-OTHERS = {"force": "shear_force", "displacement": "shear_angle"}
+NAMES, UNITS = ({q: table[q] for q in QUANTITIES} for table in (tables.NAMES, tables.UNITS))
 
 
 @dataclass(frozen=True)
 class Curve:
-    """The loading part of a test, in mm, radians and N.
+    """The loading part of a test."""
 
-    Parameters
-    ----------
-    force : (n,) array
-        N, or N/mm where `per_length`.
-    displacement : (n,) array or None
-        mm, increasing strictly from zero or above.
-    shear_angle : (n,) array or None
-        rad, measured optically; increasing strictly where there is no displacement.
-    sigma : (n,) array
-        Standard deviation of the force, in its unit.
-    per_length : bool
-        Whether the force is the normalised shear force t0 S12 of a picture frame.
-    notices : tuple of str
-        What was inferred, converted, cut or shifted, a sentence each.
-    """
-
-    force: FloatArray
-    displacement: FloatArray | None
-    shear_angle: FloatArray | None
-    sigma: FloatArray
-    per_length: bool = False
-    notices: tuple[str, ...] = ()
+    force: FloatArray  # (n,) N, or N/mm where `per_length`
+    displacement: FloatArray | None  # (n,) mm, increasing strictly from zero or above
+    shear_angle: FloatArray | None  # (n,) rad; increasing strictly where it has no displacement
+    sigma: FloatArray  # (n,) standard deviation of the force
+    per_length: bool = False  # whether it is the normalised force t0 S12 of a picture frame
+    notices: tuple[str, ...] = ()  # what was inferred, converted, cut or shifted
 
 
 def read(
@@ -80,37 +64,18 @@ def read(
     columns: Mapping[str, str] | None = None,
     units: Mapping[str, str] | None = None,
 ) -> Curve:
-    """Read the loading part of a test from a CSV file.
+    """Read the loading part of a test from a CSV file (see `tables` for its forms).
 
-    The columns are separated by semicolons, tabs, blanks or commas, with a decimal point or
-    comma; lines before the heading are skipped, a line of units may follow it. A force or a
-    shear_force is needed, and a displacement or a shear_angle; other columns are ignored.
-
-    Parameters
-    ----------
-    path : path
-    columns : mapping, optional
-        Heading, or position counted from "1", of a quantity whose heading is not recognised or
-        not the only one. A file without headings needs the positions of all it is read for.
-    units : mapping, optional
-        Unit of a quantity, over what the file says: mm, m, cm, um, in, inch; N, kN, cN, lbf; deg,
-        rad; N/mm, N/m, kN/m.
-
-    Returns
-    -------
-    Curve
-
-    Raises
-    ------
-    InputError
-        Naming the file and its defect, in one line.
+    A force or a shear_force is needed, and a displacement or a shear_angle. `columns` has the
+    heading, or the position from "1", of a quantity whose heading is not recognised or not the only
+    one; a file without headings needs positions. `units` go over those of the file.
     """
     notices: list[str] = []
     columns, units = dict(columns or {}), dict(units or {})
-    try:
+    with naming(path):
         check_keys(columns, NAMES, "columns")
         check_keys(units, NAMES, "units")
-        rows = rows_in(text_of(Path(path)))
+        rows = read_rows(Path(path))
         places, declared, first = _places(rows, columns, notices)
         values, lines = _numbers(rows[first:], places, notices)
         for quantity in values:
@@ -120,10 +85,6 @@ def read(
                 reached = _measured(quantity, largest)
                 raise InputError(f"the {_label(quantity)} reaches {reached}: check its unit")
         return _loading(values, lines, notices)
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from error
-    except (csv.Error, InputError) as error:
-        raise InputError(f"{path}: {error}") from error
 
 
 def mean_of(curves: Sequence[Curve]) -> Curve:
@@ -131,21 +92,16 @@ def mean_of(curves: Sequence[Curve]) -> Curve:
 
     Its sigma is the standard error of the mean: the relative scatter between the repeats, averaged
     over a moving fifth of the range, but at least their own noise, over the root of their number.
-
-    Raises
-    ------
-    InputError
-        For different quantities, or without a common range.
     """
     if not curves:
         raise InputError("mean_of needs at least one curve")
     if len(curves) == 1:
         return curves[0]
-    if len({(c.per_length, c.displacement is None) for c in curves}) > 1:
-        raise InputError(
-            "repeats must have the same quantities, got "
-            + " and ".join(dict.fromkeys(_quantities(c) for c in curves))
-        )
+    kinds = dict.fromkeys((c.per_length, c.displacement is None) for c in curves)
+    if len(kinds) > 1:
+        names = ("force", "shear force"), ("displacement", "shear angle")
+        words = " and ".join(f"{names[0][force]} over {names[1][angle]}" for force, angle in kinds)
+        raise InputError(f"repeats must have the same quantities, got {words}")
     along = "shear_angle" if curves[0].displacement is None else "displacement"
     xs = [getattr(c, along) for c in curves]
     low, high = max(x[0] for x in xs), min(x[-1] for x in xs)
@@ -177,33 +133,26 @@ def mean_of(curves: Sequence[Curve]) -> Curve:
     )
 
 
-def _quantities(curve: Curve) -> str:
-    along = "shear angle" if curve.displacement is None else "displacement"
-    return f"{'shear force' if curve.per_length else 'force'} over {along}"
-
-
 # Columns
 
 
 def _candidates(cells: list[str], columns: Mapping[str, str]) -> dict[str, list[int]]:
     """Columns that may be each quantity: those asked for, else those whose name is known."""
     found: dict[str, list[int]] = {}
+    headings = [(plain(cell), name_unit(cell)[0]) for cell in cells]
     for quantity, asked in columns.items():
         name = plain(str(asked))
-        found[quantity] = [
-            k for k, cell in enumerate(cells) if name in (plain(cell), name_unit(cell)[0])
-        ]
+        found[quantity] = [k for k, names in enumerate(headings) if name in names]
         if not found[quantity] and name.isdecimal() and 1 <= int(name) <= len(cells):
             found[quantity] = [int(name) - 1]
     taken = {k for places in found.values() for k in places}
-    for k, cell in enumerate(cells):
-        quantity = FIRST_NAMES.get(name_unit(cell)[0])
+    for k, (_, name) in enumerate(headings):
+        quantity = FIRST_NAMES.get(name)
         if quantity in NAMES and quantity not in columns and k not in taken:
             found.setdefault(quantity, []).append(k)
     for quantity in [q for q in SECOND if not {q, OTHERS[q]} & found.keys()]:
-        names = [SECOND_NAMES.get(name_unit(cell)[0]) for cell in cells]
-        places = [k for k, name in enumerate(names) if name == quantity and k not in taken]
-        if places:
+        second = [k for k, (_, name) in enumerate(headings) if SECOND_NAMES.get(name) == quantity]
+        if places := [k for k in second if k not in taken]:
             found[quantity] = places
     if "force" in columns or "shear_force" in columns:  # the one asked for, not the other beside it
         found = {q: k for q, k in found.items() if q in columns or not q.endswith("force")}
@@ -211,36 +160,28 @@ def _candidates(cells: list[str], columns: Mapping[str, str]) -> dict[str, list[
 
 
 def _enough(found: Mapping[str, object]) -> bool:
-    return bool(
-        (found.get("force") or found.get("shear_force"))
-        and (found.get("displacement") or found.get("shear_angle"))
-    )
+    return all(any(map(found.get, pair)) for pair in OTHERS.items())
 
 
 def _places(
     rows: list[Row], columns: Mapping[str, str], notices: list[str]
 ) -> tuple[dict[str, int], dict[str, str], int]:
     """Column and declared unit of each quantity, and the first row of numbers."""
-    numbers = next(
-        (k for k, row in enumerate(rows) if is_numeric(row.cells) and not row.comment), None
-    )
-    if numbers is None:
-        raise InputError("no rows of two or more numbers that are not comments")
+    numbers = first_of_numbers(rows)
     if _enough(columns) and all(str(asked).strip().isdecimal() for asked in columns.values()):
         places = {quantity: int(asked) - 1 for quantity, asked in columns.items()}
-        width = max(len(cells) for _, _, cells, _ in rows[numbers:])
-        for asked in columns.values():
-            if not 1 <= int(asked) <= width:
-                raise InputError(f"column {asked} not found: there are {width} columns")
+        width = max(len(row.cells) for row in rows[numbers:])
+        for place in places.values():
+            if not 0 <= place < width:
+                raise InputError(f"column {place + 1} not found: there are {width} columns")
         declared = {}
-        for _, _, cells, _ in rows[max(0, numbers - 2) : numbers]:
-            declared |= _declared(cells, places)
+        for row in rows[max(0, numbers - 2) : numbers]:
+            declared |= _declared(row.cells, places)
         return _one_force(places, rows[numbers].cells), declared, numbers
-    heading = 0
-    while is_numeric(rows[heading].cells) or not _enough(_candidates(rows[heading].cells, columns)):
-        heading += 1
-        if heading == len(rows):
-            raise InputError(_no_heading(rows[:numbers], columns))
+    headings = (k for k, row in enumerate(rows) if not is_numeric(row.cells))
+    heading = next((k for k in headings if _enough(_candidates(rows[k].cells, columns))), None)
+    if heading is None:
+        raise InputError(_no_heading(rows[:numbers], columns))
     cells = rows[heading].cells
     found = _candidates(cells, columns)
     for quantity, many in found.items():
@@ -248,10 +189,8 @@ def _places(
             raise InputError(_not_found(str(columns[quantity]), cells))
         if len(many) > 1:
             names = " and ".join(f"'{cells[k]}' (column {k + 1})" for k in many)
-            raise InputError(
-                f"{names} may both be the {_label(quantity)}: choose with "
-                f"{_option('columns', quantity, str(many[0] + 1))}"
-            )
+            option = _option("columns", quantity, str(many[0] + 1))
+            raise InputError(f"{names} may both be the {_label(quantity)}: choose with {option}")
         if quantity not in columns and name_unit(cells[many[0]])[0] in SECOND_NAMES:
             notices.append(f"The column '{cells[many[0]]}' was taken as the {_label(quantity)}.")
     places = _one_force({quantity: many[0] for quantity, many in found.items()}, cells)
@@ -265,12 +204,11 @@ def _places(
 
 
 def _one_force(places: dict[str, int], cells: list[str]) -> dict[str, int]:
-    if "force" in places and "shear_force" in places:
+    if {"force", "shear_force"} <= places.keys():
         force, shear_force = (cells[places[quantity]] for quantity in ("force", "shear_force"))
-        raise InputError(
-            f"'{force}' is a force and '{shear_force}' a shear force: choose one with "
-            f"{_option('columns', 'force', force)} or {_option('columns', 'shear_force', '...')}"
-        )
+        options = _option("columns", "force", force), _option("columns", "shear_force", "...")
+        words = f"'{force}' is a force and '{shear_force}' a shear force"
+        raise InputError(f"{words}: choose one with {' or '.join(options)}")
     return places
 
 
@@ -303,26 +241,19 @@ def _not_found(asked: str, cells: list[str]) -> str:
 
 def _no_heading(rows: list[Row], columns: Mapping[str, str]) -> str:
     """Say what the last line before the numbers that is not one of units lacks."""
-    for _, _, cells, _ in reversed(rows):
-        units = any(
-            known_unit(quantity, cell.strip("[]() ")) for cell in cells for quantity in UNITS
-        )
-        if len(cells) > 1 and not units:
+    for cells in (row.cells for row in reversed(rows)):
+        if len(cells) > 1 and not any(map(is_unit, cells)):
             found = _candidates(cells, columns)
             for quantity, asked in columns.items():
                 if not found[quantity]:
                     return _not_found(str(asked), cells)
-            force = found.get("force") or found.get("shear_force")
-            lacking = "displacement or shear angle" if force else "force or shear force"
-            key = "displacement" if force else "force"
+            key = "displacement" if found.get("force") or found.get("shear_force") else "force"
+            lacking = f"{key} or {_label(OTHERS[key])}"
             near = [cell for cell in cells if known_unit(key, name_unit(cell)[1] or "")]
-            return f"no column of a {lacking}: found {_listed(cells)}; name it with " + _option(
-                "columns", key, near[0] if near else "..."
-            )
-    return (
-        "no line of headings: give positions, "
-        "--columns displacement=1,force=2 (in TOML and Python: columns)"
-    )
+            option = _option("columns", key, near[0] if near else "...")
+            return f"no column of a {lacking}: found {_listed(cells)}; name it with {option}"
+    option = "--columns displacement=1,force=2 (in TOML and Python: columns)"
+    return f"no line of headings: give positions, {option}"
 
 
 def _numbers(
@@ -333,24 +264,18 @@ def _numbers(
     if len(table) < FEWEST:
         raise InputError(f"only {rows_of(len(table))} of numbers, at least {FEWEST} are needed")
     if left := len(rows) - len(table):
-        notices.append(f"{rows_of(left)} without numbers {_were(left)} left out.")
+        notices.append(_were(left, "without numbers", "left out"))
     values = numbers_in(table, {f"the {_label(q)}": place for q, place in places.items()})
     return dict(zip(places, values.T.copy(), strict=True)), np.array([row.line for row in table])
 
 
 def rows_of(n: int) -> str:
-    """Return "1 row" or "2 rows".
-
-    Examples
-    --------
-    >>> rows_of(1), rows_of(2)
-    ('1 row', '2 rows')
-    """
+    """Return "1 row" or "2 rows"."""
     return "1 row" if n == 1 else f"{n} rows"
 
 
-def _were(n: int) -> str:
-    return "was" if n == 1 else "were"
+def _were(n: int, where: str, what: str) -> str:
+    return f"{rows_of(n)} {where} {'was' if n == 1 else 'were'} {what}."
 
 
 # Units
@@ -371,10 +296,9 @@ def _factor(quantity: str, unit: str | None, values: FloatArray, notices: list[s
     assumed, largest = next(iter(known)), np.abs(values).max()
     if unit is None:
         if quantity == "force" and largest < 0.5:
-            raise InputError(
-                f"the largest force is {largest:.3g} without a unit, which looks like kN: declare "
-                f"it, Force [kN] in the heading or {_option('units', 'force', 'kN')}"
-            )
+            words = f"the largest force is {largest:.3g} without a unit, which looks like kN"
+            option = _option("units", "force", "kN")
+            raise InputError(f"{words}: declare it, Force [kN] in the heading or {option}")
         if quantity == "shear_angle" and largest < 1.6:
             notices.append("The shear angle has no unit and stays below 1.6: taken as rad.")
             return known["rad"]
@@ -384,9 +308,8 @@ def _factor(quantity: str, unit: str | None, values: FloatArray, notices: list[s
     if spelt is None:
         other = [_label(q) for q in UNITS if known_unit(q, unit)]
         hint = f", it is one of a {other[0]}" if other else ""
-        raise InputError(
-            f"unknown unit '{unit}' of the {label}{hint}: expected one of {', '.join(known)}"
-        )
+        words = f"unknown unit '{unit}' of the {label}{hint}"
+        raise InputError(f"{words}: expected one of {', '.join(known)}")
     if known[spelt] != known[assumed]:
         notices.append(f"The {label} was read in {spelt}.")
     return known[spelt]
@@ -417,10 +340,10 @@ def _loading(values: Mapping[str, FloatArray], lines: np.ndarray, notices: list[
 
 def _enough_rows(rows: FloatArray, why: str = "") -> FloatArray:
     """Refuse too few rows (k, n)."""
-    n = rows.shape[-1]
-    if n < FEWEST:
-        belong = "row belongs" if n == 1 else "rows belong"
-        raise InputError(f"only {n} {belong} to the loading, at least {FEWEST} are needed{why}")
+    if (n := rows.shape[-1]) < FEWEST:
+        belong = "belongs" if n == 1 else "belong"
+        words = f"only {rows_of(n)} {belong} to the loading, at least {FEWEST} are needed{why}"
+        raise InputError(words)
     return rows
 
 
@@ -429,18 +352,14 @@ def _end(rows: FloatArray, along: str, force: str, lines: np.ndarray, notices: l
     x, f = rows[:2]
     end = int(x.argmax()) + 1
     _enough_rows(x[:end], f": the {_label(along)} is largest at line {lines[end - 1]}")
-    if end < len(x):
-        notices.append(
-            f"{rows_of(len(x) - end)} after the largest {_label(along)}, "
-            f"{_measured(along, x[end - 1])}, {_were(len(x) - end)} cut."
-        )
+    if n := len(x) - end:
+        largest = f"{_label(along)}, {_measured(along, x[end - 1])}"
+        notices.append(_were(n, f"after the largest {largest},", "cut"))
     top = int(f[:end].argmax())
     if f[top] > 0 and f[top:end].min() < (1 - DROP) * f[top]:
-        notices.append(
-            f"The force drops by more than {100 * DROP:g} % after {_measured(force, f[top])} at "
-            f"{_measured(along, x[top])}: {rows_of(end - top)} from there on "
-            f"{_were(end - top)} cut."
-        )
+        place = f"after {_measured(force, f[top])} at {_measured(along, x[top])}"
+        rest = _were(end - top, "from there on", "cut")
+        notices.append(f"The force drops by more than {100 * DROP:g} % {place}: {rest}")
         end = top
     _enough_rows(x[:end])
     return end
@@ -450,17 +369,15 @@ def _ahead(rows: FloatArray, along: str, lines: np.ndarray, notices: list[str]) 
     """Leave out rows that do not move ahead; refuse a record that goes back."""
     x = rows[0]
     reached = np.maximum.accumulate(x)
-    worst = int((reached - x).argmax())
-    if reached[worst] - x[worst] > BACK * np.ptp(x):
-        raise InputError(
-            f"{_label(along)} is not monotone: goes back by "
-            f"{_measured(along, reached[worst] - x[worst])} at line {lines[worst]}"
-        )
+    back, worst = (reached - x).max(), int((reached - x).argmax())
+    if back > BACK * np.ptp(x):
+        words = f"{_measured(along, back)} at line {lines[worst]}"
+        raise InputError(f"{_label(along)} is not monotone: goes back by {words}")
     ahead = np.r_[True, x[1:] > reached[:-1]]
     if not ahead.all():
         n = int((~ahead).sum())
         move = "does not move" if n == 1 else "do not move"
-        notices.append(f"{rows_of(n)} that {move} ahead {_were(n)} left out.")
+        notices.append(_were(n, f"that {move} ahead", "left out"))
     return _enough_rows(rows[:, ahead])
 
 
@@ -469,10 +386,9 @@ def _from_zero(rows: FloatArray, force: str, notices: list[str]) -> FloatArray:
     x, f = rows[:2]
     if slack := _slack(x, f):
         start, level = slack
-        notices.append(
-            f"Slack up to {start:.4g} mm was cut, displacement counts from there; the constant "
-            f"{_measured(force, level)} before it was subtracted from the force."
-        )
+        cut = f"Slack up to {start:.4g} mm was cut, displacement counts from there"
+        before = f"the constant {_measured(force, level)} before it was subtracted from the force"
+        notices.append(f"{cut}; {before}.")
         return np.stack([x - start, f - level, *rows[2:]])[:, x > start]
     if x[0] == 0:
         return rows
@@ -538,11 +454,9 @@ def _noise(x: FloatArray, f: FloatArray) -> FloatArray:
     """
     k = np.arange(2, len(x) - 2)
     near = k[:, None] + [-2, -1, 1, 2]  # (n - 4, 4)
-    weight = np.ones(near.shape)
-    for a in range(4):
-        for b in range(4):
-            if a != b:
-                weight[:, a] *= (x[k] - x[near[:, b]]) / (x[near[:, a]] - x[near[:, b]])
+    weight = np.ones(near.shape)  # of Lagrange
+    for a, b in permutations(range(4), 2):
+        weight[:, a] *= (x[k] - x[near[:, b]]) / (x[near[:, a]] - x[near[:, b]])
     left = (f[k] - (weight * f[near]).sum(axis=1)) / np.sqrt(1 + (weight**2).sum(axis=1))
     floor = SMALL * f.max()
     local = np.maximum((f[k - 1] + f[k] + f[k + 1]) / 3, floor)

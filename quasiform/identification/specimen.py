@@ -53,20 +53,12 @@ class OffAxis:
         return f"strip of {self.length:g} x {self.width:g} mm at {self.angle:g} degrees"
 
     def displacement(self, curve: Curve) -> FloatArray:
-        """(n,) grip displacement of the rows, mm: the measured one, or that of a measured angle.
-
-        InputError beyond the limit of inextensible fibres.
-        """
-        u, limit = curve.displacement, self.net.displacement_limit
-        if u is None:
-            I6, (D, _) = np.sin(_checked(curve.shear_angle)), self.net.chord
+        """(n,) grip displacement of the rows, mm: the measured one, or that of a measured angle."""
+        if curve.displacement is None:
+            I6, (D, _) = np.sin(_angle(curve)), self.net.chord
             return np.sqrt(D**2 + 2 * self.net.alpha * self.net.beta * I6) - D
-        if u.max() >= limit:
-            raise InputError(
-                f"the displacement reaches {u.max():.4g} mm, but at {limit:.4g} mm the net of "
-                "inextensible fibres has collapsed: cut the record, or check length and width"
-            )
-        return u
+        end = "at {:.4g} mm the net of inextensible fibres has collapsed: cut the record, or check "
+        return _within(curve, self.net.displacement_limit, end + "length and width")
 
     def shares(self, curve: Curve, thickness: float, as_printed: bool = False) -> Shares:
         """Shares of the zones in the force, (3, n) in mm², and their angles, (3, n) in radians.
@@ -77,8 +69,8 @@ class OffAxis:
         u = self.displacement(curve)
         angles, rates = self.net.angles(u), self.net.angle_rates(u)
         if curve.shear_angle is not None:
-            gamma, moved = _checked(curve.shear_angle), angles[0] > 0
-            angles = angles * np.divide(gamma, angles[0], out=np.ones_like(u), where=moved)
+            moved = angles[0] > 0
+            angles = angles * np.divide(_angle(curve), angles[0], out=np.ones_like(u), where=moved)
         areas = self.net.zone_areas[:3] * ([1.0, 0.5, 0.5] if as_printed else 1.0)
         return thickness * areas[:, None] * np.cos(angles) * rates, angles
 
@@ -103,18 +95,11 @@ class PictureFrame:
         return f"frame of {self.side:g} mm sides{fabric}"
 
     def angle(self, curve: Curve) -> FloatArray:
-        """(n,) shear angle of the rows, radians: measured, or that of the hinged frame.
-
-        InputError beyond the limit of the frame.
-        """
+        """(n,) shear angle of the rows, radians: measured, or that of the hinged frame."""
         if curve.shear_angle is not None:
-            return _checked(curve.shear_angle)
-        u, limit = curve.displacement, (2 - np.sqrt(2.0)) * self.side
-        if u.max() >= limit:
-            raise InputError(
-                f"the displacement reaches {u.max():.4g} mm, but the frame closes at {limit:.4g} "
-                "mm: check the side of the frame"
-            )
+            return _angle(curve)
+        end = "the frame closes at {:.4g} mm: check the side of the frame"
+        u = _within(curve, (2 - np.sqrt(2.0)) * self.side, end)
         return np.pi / 2 - 2.0 * np.arccos(np.sqrt(0.5) + u / (2.0 * self.side))
 
     def shares(self, curve: Curve, thickness: float, as_printed: bool = False) -> Shares:
@@ -132,11 +117,17 @@ class PictureFrame:
 Specimen = OffAxis | PictureFrame
 
 
-def _checked(gamma: FloatArray) -> FloatArray:
-    """The measured shear angles; InputError where they are impossible."""
-    if np.abs(gamma).max() >= np.pi / 2:
-        raise InputError(
-            f"the shear angle reaches {np.degrees(np.abs(gamma).max()):.4g} degrees, "
-            "beyond the limit of 90: check its unit"
-        )
-    return gamma
+def _within(curve: Curve, limit: float, why: str) -> FloatArray:
+    """The displacement of the rows, mm; InputError beyond the limit of the fibres."""
+    if (reached := curve.displacement.max()) >= limit:
+        words = f"the displacement reaches {reached:.4g} mm, but {why.format(limit)}"
+        raise InputError(words)
+    return curve.displacement
+
+
+def _angle(curve: Curve) -> FloatArray:
+    """The measured shear angles, radians; InputError where they are impossible."""
+    if (largest := np.abs(curve.shear_angle).max()) >= np.pi / 2:
+        words = f"the shear angle reaches {np.degrees(largest):.4g} degrees"
+        raise InputError(f"{words}, beyond the limit of 90: check its unit")
+    return curve.shear_angle

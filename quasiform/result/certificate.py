@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .measures import LIFTED
+from .measures import LIFTED, max_penetration
 from .outcome import Outcome
 
 RESIDUAL = 1e-3  # of the driving force
@@ -58,19 +58,14 @@ class Certificate:
 
 
 def certify(result: Outcome) -> Certificate:
-    """Check the end of a run.
-
-    Parameters
-    ----------
-    result : Outcome
-    """
+    """Check the end of a run."""
     model, pivots = result.model, result.negative_pivots
     figures = {
         "residual_relative": result.residual,
         "negative_pivots": np.nan if pivots is None else float(pivots),
         "energy_balance_relative": result.energy_balance,
         "stabilisation_work_relative": result.stabilisation,
-        "penetration_mm": result.max_penetration,
+        "penetration_mm": max_penetration(model, result.states[-1].x),
         "penetration_allowed_mm": PENETRATION * model.sheet.fabric.thickness,
         "flange_lift_mm": result.flange_lift,
     }
@@ -94,16 +89,27 @@ def certify(result: Outcome) -> Certificate:
         f"collapsed from {collapse} mm on": bool(collapse),
         steps: too_long,
         f"perturbed starts scatter in {', '.join(scattered)}": bool(scattered),
-        WRINKLED: not result.spread and result.wrinkled,
+        WRINKLED: not result.spread and _wrinkled(result),
     }
     checks = {"stopped early": bool(result.reason)} | unsolved | doubtful
     reasons = tuple(words for words, so in checks.items() if so)
     return Certificate(not any(unsolved.values()), not reasons, reasons, figures)
 
 
+def _lifted(result: Outcome) -> bool:
+    return result.flange_lift > LIFTED * result.model.sheet.fabric.thickness
+
+
+def _wrinkled(result: Outcome) -> bool:
+    """Whether the flange is lifted and waves; on a coarse mesh it lifts beside a fillet too."""
+    return _lifted(result) and any(
+        result.wrinkles[f"waving_{family}_lines"] for family in ("warp", "weft")
+    )
+
+
 def one_of_many(result: Outcome) -> str:
     """Why the state found is one of several; empty where nothing shows so."""
-    signs, snaps, lift = [], result.snaps, result.flange_lift
+    signs, snaps = [], result.snaps
     if saddles := result.rescues.get("saddle left", 0):
         signs.append(f"{saddles} saddle{'s were' if saddles > 1 else ' was'} left on the way")
     if snaps:
@@ -111,32 +117,25 @@ def one_of_many(result: Outcome) -> str:
             f"the sheet jumped {len(snaps)} time{'s' * (len(snaps) > 1)}, first near "
             f"{snaps[0]['to_mm']:.4g} mm"
         )
-    if lift > LIFTED * result.model.sheet.fabric.thickness:
-        signs.append(f"the flange lifts by {lift:.2f} mm")
+    if _lifted(result):
+        signs.append(f"the flange lifts by {result.flange_lift:.2f} mm")
     if scattered := [name for name, entry in result.spread.items() if not entry["robust"]]:
         signs.append(f"perturbed starts scatter in {', '.join(scattered)}")
     return "; ".join(signs)
 
 
 def trust(result: Outcome) -> list[str]:
-    """What limits the numbers of a run, one sentence each.
-
-    Parameters
-    ----------
-    result : Outcome
-    """
+    """What limits the numbers of a run, one sentence each."""
     found = [
         f"the mesh error of {name} is {100 * error / abs(value):.0f} % of its value"
         for name, value in result.quantities.items()
         if (error := result.estimate.get(name)) and error > WIDE * abs(value) > 0
     ]
     areas = result.blank.areas / result.blank.areas.sum()
-    for reason, flag in result.doubts().items():
+    for reason, flag in result.sheet.doubts().items():
         if reason in LIMITED and (share := areas @ flag) >= SHARE:
             words = LIMITED[reason].format(range=result.model.sheet.fabric.shear_range)
             found.append(f"{100 * share:.0f} % of the area is {words}")
-    if result.collapse:
-        found.append(f"collapsed from {result.collapse['travel_mm']:.4g} mm on")
     if many := one_of_many(result):
         found.append(f"one of many states: {many}")
     return found

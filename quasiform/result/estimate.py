@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from .measures import nodal
 from .outcome import Outcome
 
 FloatArray = np.ndarray
@@ -15,14 +16,9 @@ FloatArray = np.ndarray
 def judged(result: Outcome, coarser: Sequence[Outcome]) -> Outcome:
     """Return a result with the error of its mesh, from the same model on coarser meshes.
 
-    It stays without an estimate where the coarse model is another one (a user has added terms or
-    changed the travel) or stopped early, or where one of the two has collapsed.
-
-    Parameters
-    ----------
-    result : Outcome
-    coarser : sequence of Outcome
-        Coarsest first, each of twice the size of the next.
+    The coarsest comes first, each is of twice the size of the next. It stays without an estimate
+    where the coarse model is another one (a user has added terms or changed the travel) or stopped
+    early, or where one of the two has collapsed.
     """
     levels = [result]
     for coarse in reversed(coarser):
@@ -38,7 +34,7 @@ def judged(result: Outcome, coarser: Sequence[Outcome]) -> Outcome:
         if all(name in v for v in values)
     }
     blank = result.blank
-    fields = [result.nodal_shear_angle]
+    fields = [nodal(blank, result.shear_angle)]
     fields += [level.shear_angle_at(blank.nodes) for level in levels[1:]]
     error = discretisation_error(fields)[blank.triangles].mean(1)
     return replace(result, estimate=estimate, shear_angle_error=error)
@@ -67,14 +63,7 @@ def discretisation_error(values: Sequence[FloatArray | float]) -> FloatArray | f
     difference before is used. Two levels alone have no ratio: the error is twice their
     difference.
 
-    Parameters
-    ----------
-    values : sequence of float or (n,) arrays
-        At least two.
-
-    Returns
-    -------
-    float or (n,) array
+    `values` holds at least two numbers or (n,) arrays.
 
     References
     ----------

@@ -13,34 +13,17 @@ from ..checks import InputError
 INCREMENTS = "increment_*.vtu"
 RESUME = "resume.npz"
 PICTURES = ("shear_angle.png", "history.png", "doubt.png")
-FILES = (
-    "summary.json",
-    "history.csv",
-    "outline.csv",
-    "result.vtu",
-    "result.pvd",
-    *PICTURES,
-    RESUME,
-)
+TABLES = ("summary.json", "history.csv", "outline.csv")
+FILES = (*TABLES, "result.vtu", "result.pvd", *PICTURES, RESUME)
 
 
 def check_folder(out: str | Path, *, force: bool = False, names: Sequence[str] = FILES) -> Path:
     """Check that a result can be written to a folder; nothing is made, nothing is touched.
 
-    Parameters
-    ----------
-    out : path
-    force : bool
-        Whether the folder may hold a result already.
-    names : sequence of str
-        Files that make a result.
-
-    Raises
-    ------
-    InputError
+    With `force` the folder may hold a result already: one of the files `names`.
     """
     folder = Path(out)
-    with _writing_to(folder):
+    with writing_to(folder):
         if folder.exists() and not folder.is_dir():
             raise InputError(f"cannot write to {folder}: it is not a folder")
         found = _existing(folder, names)
@@ -60,15 +43,10 @@ def replaced(
 ) -> Iterator[Path]:
     """Yield an empty folder whose files take the place of the result in `out` at the end.
 
-    An old result stays complete until the new one is.
-
-    Raises
-    ------
-    InputError
-        As `check_folder`.
+    An old result stays complete until the new one is. Refuses what `check_folder` does.
     """
     folder = check_folder(out, force=force, names=names)
-    with _writing_to(folder), added(folder, instead=names) as staging:
+    with writing_to(folder), added(folder, instead=names) as staging:
         yield staging
 
 
@@ -76,16 +54,8 @@ def replaced(
 def added(folder: Path, *, instead: Sequence[str] = ()) -> Iterator[Path]:
     """Yield an empty folder whose files are put into `folder` at the end, each in one step.
 
-    Parameters
-    ----------
-    folder : path
-    instead : sequence of str
-        Names of an older result, whose files are removed; the folder is made if missing.
-
-    Raises
-    ------
-    OSError
-        If the folder was removed or cannot be written.
+    The files `instead` of an older result are removed; with such names the folder is made if it is
+    missing. OSError if it was removed or cannot be written.
     """
     with (
         _made(folder) if instead else nullcontext(),
@@ -119,8 +89,9 @@ def _made(folder: Path) -> Iterator[None]:
 
 
 @contextmanager
-def _writing_to(folder: Path) -> Iterator[None]:
+def writing_to(path: Path) -> Iterator[None]:
+    """Report what fails while a file or folder is written as one line that names it."""
     try:
         yield
     except OSError as error:
-        raise InputError(f"cannot write to {folder}: {error.strerror or error}") from error
+        raise InputError(f"cannot write to {path}: {error.strerror or error}") from error

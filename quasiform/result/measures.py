@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from ..energy.bending import Bending
-from ..energy.contact import LEVER, Contact, moment
+from ..energy.contact import LEVER, moment
 from ..energy.membrane import Membrane
-from ..energy.term import Term
+from ..model import COLLAPSE, Model
 from ..net.blank import Blank
-from ..net.edges import EdgePoint, disc, edge_points
-from .sheet import FormedSheet
-
-__all__ = ["EdgePoint", "disc", "edge_points"]
+from .sheet import DOUBTS, FormedSheet
 
 FloatArray = np.ndarray
 LIFTED = 0.1  # of the thickness: a flange that is lifted further has wrinkled
@@ -51,13 +48,14 @@ def shear_stability(membrane: Membrane, x: FloatArray) -> FloatArray:
     return np.minimum(S[:, 0, 0] + W2 * (I8 - I6**2 / I4), S[:, 1, 1] + W2 * (I4 - I6**2 / I8))
 
 
-def shear_gradient(blank: Blank, gamma: FloatArray) -> FloatArray:
-    """(n_triangles,) gradient of the shear angle over the flat blank, in units of gamma by mm.
+def nodal(blank: Blank, values: FloatArray) -> FloatArray:
+    """(n_nodes,) means of (n_triangles,) values around the nodes, weighted by area."""
+    return FormedSheet(flat=blank.nodes, triangles=blank.triangles).at_nodes(values)
 
-    That of the linear interpolation of area-weighted means at the nodes.
-    """
-    at_nodes = FormedSheet(flat=blank.nodes, triangles=blank.triangles).at_nodes(gamma)
-    grad = blank.basis.interpolate(at_nodes).grad[:, :, 0]
+
+def shear_gradient(blank: Blank, gamma: FloatArray) -> FloatArray:
+    """(n_triangles,) gradient over the flat blank of gamma, linear between its nodal means."""
+    grad = blank.basis.interpolate(nodal(blank, gamma)).grad[:, :, 0]
     return np.linalg.norm(grad, axis=0)
 
 
@@ -66,21 +64,9 @@ def waves(flat: FloatArray, along: FloatArray, curvature: FloatArray) -> tuple[i
 
     A line that a tool bends turns its curvature twice, from the flange to the punch and back; one
     that waves does so at least four times. Curvature below a tenth of the largest is no wave.
-
-    Parameters
-    ----------
-    flat : (n, 2) array
-        Nodes of the flat sheet, mm.
-    along : (2,) array
-        Direction of the family.
-    curvature : (n,) array
-        Normal curvature of the family at the nodes, 1/mm; nan where it has none.
-
-    Returns
-    -------
-    lines : int
-    wavelength : float or None
-        Twice the median distance of inflections on these lines, on the flat sheet, mm.
+    `flat` (n, 2) are the nodes of the flat sheet (mm), `along` (2,) is the direction of the family
+    and `curvature` (n,) its normal curvature (1/mm), nan where it has none. The wavelength is twice
+    the median distance of inflections on these lines, on the flat sheet, mm.
     """
     bent = np.abs(curvature) > 0.1 * np.nanmax(np.abs(curvature), initial=0.0)
     t = np.round(flat[bent] @ [along[1], -along[0]], 6)
@@ -96,10 +82,57 @@ def waves(flat: FloatArray, along: FloatArray, curvature: FloatArray) -> tuple[i
     return len(wavy), 2.0 * float(np.median(spacing)) if len(spacing) else None
 
 
-def flange_lift(contacts: Iterable[Contact], x: FloatArray) -> float:
+def formed(
+    model: Model, x: FloatArray, travel: float, error: FloatArray | None = None
+) -> FormedSheet:
+    """Formed sheet of the whole blank at x (n_dofs,), with all fields of `result.vtu`.
+
+    `error` is that of the shear angle by triangle, degrees, where it was estimated.
+    """
+    sheet, membrane = model.sheet, model.membrane
+    blank, node, _, source, sign = sheet.whole
+    points, start = sheet.whole_positions(x), np.pad(blank.nodes, ((0, 0), (0, 1)))
+    if sheet.dim == 3:
+        start[:, 2] = sheet.positions(model.x0)[node, 2]
+    force = sum((c.nodal_force(x) for c in model.contacts), np.zeros(len(sheet.blank.nodes)))
+    at_nodes = {
+        "displacement": points - start,
+        "contact_pressure": (force / sheet.blank.node_areas)[node],
+    }
+    bare = FormedSheet(points, blank.triangles, blank.nodes, at_nodes, travel=travel)
+    I4, _, I8 = membrane.invariants(x)
+    gamma, stability = shear_angle(model, x), shear_stability(membrane, x)[source]
+    warp, weft = bare.fibres(np.array([blank.warp, blank.weft]))
+    doubts = {
+        "beyond_identified_range": np.abs(gamma) > sheet.fabric.shear_range,
+        "unstable_in_shear": stability < 0,
+        "collapsed": np.abs(gamma) > np.degrees(COLLAPSE),
+        "rovings_may_slip": shear_gradient(blank, np.abs(gamma)) > SLIP_GRADIENT,
+    }
+    fields = {} if error is None else {"shear_angle_error": error}
+    fields |= {
+        "shear_angle": gamma,
+        "warp": warp,
+        "weft": weft,
+        "E11": (0.5 * (I4 - 1.0))[source],
+        "E22": (0.5 * (I8 - 1.0))[source],
+        "S12": membrane.stress(x)[source, 0, 1] * sign,
+        "shear_stability": stability,
+        "doubt": sum(2**bit * doubts[name].astype(float) for bit, name in enumerate(DOUBTS)),
+    }
+    return replace(bare, cell_fields=fields)
+
+
+def shear_angle(model: Model, x: FloatArray) -> FloatArray:
+    """(n_triangles,) signed shear angle of the whole blank at x (n_dofs,), degrees."""
+    _, _, _, source, sign = model.sheet.whole
+    return np.degrees(model.membrane.shear_angle(x))[source] * sign
+
+
+def flange_lift(model: Model, x: FloatArray) -> float:
     """How far the sheet leaves the flat faces of fixed tools, mm, at positions x (n_dofs,)."""
     lift = 0.0
-    for contact in contacts:
+    for contact in model.contacts:
         if contact.tool.motion == "fixed":
             d, n, _ = contact.distance(contact.relative(x))
             above = np.abs(n[:, 2]) > 0.99
@@ -108,37 +141,22 @@ def flange_lift(contacts: Iterable[Contact], x: FloatArray) -> float:
     return lift
 
 
-def wrinkles(
-    terms: Iterable[Term], x: FloatArray, blank: Blank, source: np.ndarray
-) -> dict[str, float | None]:
-    """Largest curvature (1/mm), and waves of each family of fibres off punch and die.
+def wrinkles(model: Model, x: FloatArray) -> dict[str, float | None]:
+    """Largest curvature (1/mm), and of each family how many lines wave and how far apart (mm).
 
-    Parameters
-    ----------
-    terms : iterable of Term
-        Of the modelled part.
-    x : (n_dofs,) array
-        mm.
-    blank : Blank
-        The whole sheet.
-    source : (n_nodes,) int array
-        Node of the modelled part that each node of the whole mirrors.
-
-    Returns
-    -------
-    dict
-        Empty without bending; else the curvature, how many lines wave, and their wavelength (mm).
+    Off punch and die, at x (n_dofs,). Empty without bending.
     """
-    terms, found = list(terms), {}
-    for term in terms:
+    blank, source, *_ = model.sheet.whole
+    found: dict[str, float | None] = {}
+    for term in model.terms:
         if not isinstance(term, Bending):
             continue
         kappa = term.curvature(x)
         found["largest_curvature_1_per_mm"] = float(np.abs(kappa).max())
         at_nodes = np.full((source.max() + 1, 2), np.nan)
         at_nodes[term.nodes[:, 0]] = kappa
-        for contact in terms:
-            if isinstance(contact, Contact) and contact.tool.motion != "free":
+        for contact in model.contacts:
+            if contact.tool.motion != "free":
                 at_nodes[contact.nodal_force(x) > 0] = np.nan
         for f, family in enumerate(("warp", "weft")):
             lines, wavelength = waves(blank.nodes, getattr(blank, family), at_nodes[source, f])
@@ -147,43 +165,27 @@ def wrinkles(
     return found
 
 
-def max_penetration(contacts: Iterable[Contact], x: FloatArray) -> float:
+def max_penetration(model: Model, x: FloatArray) -> float:
     """Deepest penetration into a tool at the contact points, mm."""
-    return max([0.0, *(float(contact.penetration(x).max()) for contact in contacts)])
+    return max([0.0, *(float(contact.penetration(x).max()) for contact in model.contacts)])
 
 
-def chord_penetration(
-    contacts: Iterable[Contact], x: FloatArray, middles: FloatArray, thickness: float
-) -> float:
-    """Deepest penetration at the middle of an element edge, mm: how far chords cut fillets.
-
-    Parameters
-    ----------
-    contacts : iterable of Contact
-    x : (n_dofs,) array
-        mm.
-    middles : (n_edges, 3) array
-        Middles of the element edges, mm.
-    thickness : float
-        Of the sheet, mm.
-    """
-    deepest = 0.0
-    for contact in contacts:
+def chord_penetration(model: Model, x: FloatArray) -> float:
+    """Deepest penetration at the middle of an element edge, mm: chords cut fillets."""
+    deepest, half = 0.0, 0.5 * model.sheet.fabric.thickness
+    middles = model.sheet.positions(x)[model.sheet.blank.mesh.facets.T].mean(1)
+    for contact in model.contacts:
         y = contact.in_tool_frame(x, middles - contact.origin(x))
-        deepest = max(deepest, 0.5 * thickness - float(contact.distance(y)[0].min()))
+        deepest = max(deepest, half - float(contact.distance(y)[0].min()))
     return deepest
 
 
 def resting_tools(
-    model: Any, x: FloatArray, start: FloatArray
+    model: Model, x: FloatArray, start: FloatArray
 ) -> dict[str, dict[str, float | list[float]]]:
     """Lift (mm) and tilt (degrees) of each free tool, or the moment its guide takes (N mm).
 
-    Parameters
-    ----------
-    model : Scene
-    x, start : (n_dofs,) arrays
-        Positions and rigid degrees of freedom now and at the start, mm.
+    x and start (n_dofs,) are positions and rigid degrees of freedom now and at the start, mm.
     """
     found: dict[str, dict[str, Any]] = {}
     for contact in model.contacts:
@@ -200,14 +202,4 @@ def resting_tools(
                 turning[1 - axis] = 0.0
         turning = model.sheet.to_user(turning) + entry.get("held_moment_Nmm", np.zeros(2))
         entry["held_moment_Nmm"] = turning.tolist()
-    return found
-
-
-def interpolated(nodes: FloatArray, values: FloatArray, points: FloatArray) -> FloatArray:
-    """Values at (k, 2) points from those at (n, 2) nodes: linear, beyond them the nearest."""
-    from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
-
-    found = LinearNDInterpolator(nodes, values)(points)
-    outside = np.isnan(found)
-    found[outside] = NearestNDInterpolator(nodes, values)(points[outside])
     return found

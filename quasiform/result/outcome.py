@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from ..model import COLLAPSE, Model
+from ..model import Model
 from ..net.blank import Blank
 from ..net.edges import disc
+from ..net.transfer import interpolated
 from . import measures
 from .sheet import FormedSheet
 
@@ -29,10 +31,7 @@ class State:
 
 @dataclass(repr=False)
 class Outcome:
-    """A finished or stopped run; `Result` adds the verdict on it and its files.
-
-    The parameters are those of `Result`.
-    """
+    """A finished or stopped run; `Result` documents it, and adds the verdict and the files."""
 
     model: Model
     states: list[State]
@@ -60,11 +59,10 @@ class Outcome:
 
     def add_work(self, other: Outcome, failed: int = 0) -> None:
         """Add the factorisations of another run, and of a failed try on this mesh."""
-        own = f"{self.model.size:g} mm"
-        counts = self.factorisations | {own: self.factorisations.get(own, 0) + failed}
-        for mesh, count in other.factorisations.items():
-            counts[mesh] = counts.get(mesh, 0) + count
-        self.factorisations = counts
+        counts = Counter(self.factorisations)
+        counts.update({f"{self.model.size:g} mm": failed})
+        counts.update(other.factorisations)
+        self.factorisations = dict(counts)
 
     @property
     def status(self) -> str:
@@ -100,14 +98,9 @@ class Outcome:
         return [*((path, i) for i in range(len(path.states) - 1)), (self, len(self.states) - 1)]
 
     @property
-    def rows(self) -> list[State]:
-        """States along the travel."""
-        return [run.states[i] for run, i in self.followed]
-
-    @property
     def history(self) -> dict[str, FloatArray]:
         """Columns by name, one row an increment; `pandas.DataFrame(result.history)` takes it."""
-        travel, rows = self.model.travel_name, self.rows
+        travel, rows = self.model.travel_name, [run.states[i] for run, i in self.followed]
         columns = {travel: [s.travel for s in rows], "force_N": [s.force for s in rows]}
         for name in self.model.measures:
             columns[name] = [s.measures[name] for s in rows]
@@ -122,8 +115,7 @@ class Outcome:
 
     def shear_angles(self, state: int = -1) -> FloatArray:
         """(n_triangles,) signed shear angle of the whole sheet, degrees."""
-        _, _, _, source, sign = self.model.sheet.whole
-        return np.degrees(self.model.membrane.shear_angle(self.states[state].x))[source] * sign
+        return measures.shear_angle(self.model, self.states[state].x)
 
     @property
     def shear_angle(self) -> FloatArray:
@@ -132,77 +124,19 @@ class Outcome:
 
     def sheet_at(self, state: int = -1) -> FormedSheet:
         """Formed sheet of a state, with the fields by triangle and by node."""
-        blank = self.blank
-        return FormedSheet(
-            self.positions(state),
-            blank.triangles,
-            blank.nodes,
-            self.point_fields(state),
-            self.cell_fields(state),
-            travel=self.states[state].travel,
-        )
+        now, end = self.states[state], state in (-1, len(self.states) - 1)
+        error = self.shear_angle_error if end else None
+        return measures.formed(self.model, now.x, now.travel, error)
 
     @property
     def sheet(self) -> FormedSheet:
         """Formed sheet at the end."""
         return self.sheet_at()
 
-    def cell_fields(self, state: int = -1) -> dict[str, FloatArray]:
-        """Fields by triangle: shear_angle (degrees), warp, weft (unit vectors), E11, E22, S12."""
-        blank, membrane, x = self.blank, self.model.membrane, self.states[state].x
-        _, _, _, source, sign = self.model.sheet.whole
-        I4, _, I8 = membrane.invariants(x)
-        formed = FormedSheet(self.positions(state), blank.triangles, blank.nodes)
-        warp, weft = formed.fibres(np.array([blank.warp, blank.weft]))
-        end = state in (-1, len(self.states) - 1) and self.shear_angle_error is not None
-        return ({"shear_angle_error": self.shear_angle_error} if end else {}) | {
-            "shear_angle": self.shear_angles(state),
-            "warp": warp,
-            "weft": weft,
-            "E11": (0.5 * (I4 - 1.0))[source],
-            "E22": (0.5 * (I8 - 1.0))[source],
-            "S12": membrane.stress(x)[source, 0, 1] * sign,
-            "shear_stability": measures.shear_stability(membrane, x)[source],
-            "doubt": sum(
-                2**bit * flag.astype(float) for bit, flag in enumerate(self.doubts(state).values())
-            ),
-        }
-
-    def point_fields(self, state: int = -1) -> dict[str, FloatArray]:
-        """Fields by node: displacement (mm) and contact_pressure (MPa, summed over the tools)."""
-        model, source = self.model, self.model.sheet.whole[1]
-        X = np.pad(self.blank.nodes, ((0, 0), (0, 1)))
-        if model.sheet.dim == 3:
-            X[:, 2] = model.sheet.positions(model.x0)[source, 2]
-        force = np.zeros(len(model.sheet.blank.nodes))
-        for contact in model.contacts:
-            force += contact.nodal_force(self.states[state].x)
-        pressure = force / model.sheet.blank.node_areas
-        return {"displacement": self.positions(state) - X, "contact_pressure": pressure[source]}
-
-    def doubts(self, state: int = -1) -> dict[str, np.ndarray]:
-        """Where the shear angle should not be trusted, by reason; bool (n_triangles,) each."""
-        membrane, source = self.model.membrane, self.model.sheet.whole[3]
-        gamma = np.abs(self.shear_angles(state))
-        stability = measures.shear_stability(membrane, self.states[state].x)[source]
-        return {
-            "beyond_identified_range": gamma > self.model.sheet.fabric.shear_range,
-            "unstable_in_shear": stability < 0,
-            "collapsed": gamma > np.degrees(COLLAPSE),
-            "rovings_may_slip": (
-                measures.shear_gradient(self.blank, gamma) > measures.SLIP_GRADIENT
-            ),
-        }
-
-    def outline(self, state: int = -1) -> list[FloatArray]:
-        """Closed outline of the deformed blank, then those of its holes; (n, 3) points each, mm."""
-        positions = self.positions(state)
-        return [positions[loop] for loop in self.blank.outline]
-
     @property
     def flange_lift(self) -> float:
         """How far the sheet leaves the flat faces of fixed tools at the end, mm."""
-        return measures.flange_lift(self.model.contacts, self.states[-1].x)
+        return measures.flange_lift(self.model, self.states[-1].x)
 
     @property
     def wrinkles(self) -> dict[str, float | None]:
@@ -210,32 +144,12 @@ class Outcome:
 
         The waves of each family of fibres off punch and die: how many lines, their wavelength (mm).
         """
-        blank, source, *_ = self.model.sheet.whole
-        found = measures.wrinkles(self.model.terms, self.states[-1].x, blank, source)
+        found = measures.wrinkles(self.model, self.states[-1].x)
         return {"flange_lift_mm": self.flange_lift} | found
-
-    @property
-    def wrinkled(self) -> bool:
-        """Whether the flange is lifted and waves; on a coarse mesh it lifts beside a fillet too."""
-        if self.flange_lift <= measures.LIFTED * self.model.sheet.fabric.thickness:
-            return False
-        return any(self.wrinkles[f"waving_{family}_lines"] for family in ("warp", "weft"))
 
     def resting_tools(self) -> dict[str, dict[str, float | list[float]]]:
         """Lift (mm) and tilt (degrees) of each free tool, or the moment its guide takes (N mm)."""
         return measures.resting_tools(self.model, self.states[-1].x, self.states[0].x)
-
-    @property
-    def max_penetration(self) -> float:
-        """Deepest penetration into a tool at the end, mm, at the nodes, where contact acts."""
-        return measures.max_penetration(self.model.contacts, self.states[-1].x)
-
-    @property
-    def chord_penetration(self) -> float:
-        """Deepest penetration at the middle of an element edge, mm: how far chords cut fillets."""
-        model, x = self.model, self.states[-1].x
-        middles = model.sheet.positions(x)[model.sheet.blank.mesh.facets.T].mean(1)
-        return measures.chord_penetration(model.contacts, x, middles, model.sheet.fabric.thickness)
 
     @property
     def draw_in(self) -> dict[str, float]:
@@ -265,12 +179,7 @@ class Outcome:
         found |= {f"area_{name}_deg": value for name, value in self.areas.items() if value}
         return found | {f"draw_in_{name}_mm": value for name, value in self.draw_in.items()}
 
-    @property
-    def nodal_shear_angle(self) -> FloatArray:
-        """(n_nodes,) shear angle as the mean of the triangles around a node, degrees."""
-        flat = FormedSheet(None, self.blank.triangles, self.blank.nodes)
-        return flat.at_nodes(self.shear_angle)
-
     def shear_angle_at(self, points: FloatArray) -> FloatArray:
         """(n,) shear angle at (n, 2) points of the flat sheet, degrees; beyond it, the nearest."""
-        return measures.interpolated(self.blank.nodes, self.nodal_shear_angle, points)
+        at_nodes = measures.nodal(self.blank, self.shear_angle)
+        return interpolated(self.blank.nodes, at_nodes, points)

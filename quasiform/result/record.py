@@ -11,13 +11,13 @@ import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..checks import InputError
+from ..checks import InputError, naming
 from ..scenes import scene_file
 from .sheet import FormedSheet, read_sheets
 
@@ -30,20 +30,11 @@ NEEDED = {"point_fields": ("displacement",), "cell_fields": ("shear_angle", "war
 
 
 class Sheets(Sequence[FormedSheet]):
-    """Formed sheets by travel, each made or read when it is asked for.
-
-    Parameters
-    ----------
-    travels : sequence of float
-        mm, ascending.
-    load : callable
-        Returns the sheet of a state by its number.
-    """
+    """Formed sheets by travel (mm, ascending), each loaded by its number when it is asked for."""
 
     def __init__(self, travels: Sequence[float], load: Callable[[int], FormedSheet]) -> None:
         self.travels = tuple(travels)
-        self._load = load
-        self._known: dict[int, FormedSheet] = {}
+        self._load = lru_cache(maxsize=2)(load)  # more would fill the memory
 
     def __len__(self) -> int:
         return len(self.travels)
@@ -52,10 +43,7 @@ class Sheets(Sequence[FormedSheet]):
         numbers = range(len(self))[at]
         if isinstance(numbers, range):
             return Sheets([self.travels[k] for k in numbers], lambda k: self[numbers[k]])
-        if numbers not in self._known:
-            last = {k: sheet for k, sheet in self._known.items() if k == len(self) - 1}
-            self._known = {**last, numbers: self._load(numbers)}  # others would fill the memory
-        return self._known[numbers]
+        return self._load(numbers)
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,10 +77,7 @@ class Record:
     def read(cls, folder: str | Path) -> Record:
         """Read the folder of a run; a mesh is read when it is asked for.
 
-        Raises
-        ------
-        InputError
-            Naming the file and its defect.
+        InputError names the file and its defect.
         """
         folder = Path(folder)
         if not folder.is_dir():
@@ -130,12 +115,8 @@ class Record:
         """Name or file of its scene, wherever the working folder is.
 
         A file is looked for where it was when the run was made, then where it was named from:
-        beside the run's folder and in it (they may have moved together), and from here.
-
-        Raises
-        ------
-        InputError
-            If it is in none of these places.
+        beside the run's folder and in it (they may have moved together), and from here. InputError
+        if it is in none of these places.
         """
         given, recorded = str(self.parameters["scene"]), self.parameters.get("scene_file")
         if self.folder is None or not given.endswith(".toml"):
@@ -163,8 +144,7 @@ class Record:
         """End of the travel: what was asked for, as far as it is known, or what was reached."""
         given = self.parameters
         asked = given.get("travel", given.get("displacement", 0.0))
-        asked = self.model.travel if self.model is not None else float(asked)
-        return max(asked, self.travel) or 1.0
+        return max(float(self.model.travel if self.model else asked), self.travel) or 1.0
 
     @property
     def travel_name(self) -> str:
@@ -216,6 +196,11 @@ class Record:
         given = self.parameters.get("fabric")
         return given if isinstance(given, dict) else {}
 
+    @property
+    def fabric_name(self) -> str:
+        """Name of the fabric."""
+        return str(self.fabric.get("name", "unknown fabric"))
+
     @cached_property
     def areas(self) -> dict[str, tuple[tuple[float, float], float]]:
         """Centre and radius of the named areas on the flat sheet, mm; none where not known."""
@@ -247,13 +232,7 @@ class Record:
     def write(self, folder: str | Path, since: int = 0, increments: bool = True) -> None:
         """Write all but the pictures into an existing folder.
 
-        Parameters
-        ----------
-        folder : path
-        since : int
-            First of the sheets along the travel that is written.
-        increments : bool
-            Whether the sheets along the travel are written.
+        Sheets along the travel are written from number `since` on; without `increments` none.
         """
         folder, end = Path(folder), self.sheets[-1]
         summary = json.dumps(self.summary, indent=2, allow_nan=False, default=np.generic.item)
@@ -276,20 +255,19 @@ class Record:
 
 def _read_summary(path: Path) -> dict[str, Any]:
     """Contents of a `summary.json`, in today's format."""
-    try:
-        summary = json.loads(path.read_text(encoding="utf-8"))
-        kinds = {"reached_mm": int | float, "parameters": dict, "error_estimate": dict}
-        if not all(isinstance(summary.get(key), kind) for key, kind in kinds.items()):
-            raise ValueError(f"expected {', '.join(kinds)}")
-    except FileNotFoundError as error:
-        raise InputError(f"{path.parent}: no result: it has no summary.json") from error
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from error
-    except (ValueError, AttributeError) as error:  # no JSON, or no table
-        raise InputError(f"{path}: not the summary of a run: {error}") from error
-    given = summary.get("format", 1)
-    if given not in (1, FORMAT):
-        raise InputError(f"{path}: of format {given}; this version reads formats 1 and {FORMAT}")
+    if not path.exists():
+        raise InputError(f"{path.parent}: no result: it has no summary.json")
+    kinds = {"reached_mm": int | float, "parameters": dict, "error_estimate": dict}
+    with naming(path):
+        try:
+            summary = json.loads(path.read_text(encoding="utf-8"))
+            if not all(isinstance(summary.get(key), kind) for key, kind in kinds.items()):
+                raise ValueError(f"expected {', '.join(kinds)}")
+        except (ValueError, AttributeError) as error:  # no JSON, or no table
+            raise InputError(f"not the summary of a run: {error}") from error
+        given = summary.get("format", 1)
+        if given not in (1, FORMAT):
+            raise InputError(f"of format {given}; this version reads formats 1 and {FORMAT}")
     return summary if given == FORMAT else _of_first_format(summary)
 
 
@@ -311,24 +289,17 @@ def _read_history(path: Path) -> dict[str, FloatArray]:
     """Columns of a `history.csv` by heading; none without the file."""
     if not path.exists():
         return {}
-    try:
-        heading = path.read_text(encoding="utf-8").splitlines()[0].split(",")
-        columns = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2)
-        return dict(zip(heading, columns.T, strict=True))
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from error
-    except (ValueError, IndexError) as error:
-        raise InputError(f"{path}: not a history of this program: {error}") from error
+    with naming(path):
+        try:
+            heading = path.read_text(encoding="utf-8").splitlines()[0].split(",")
+            columns = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2)
+            return dict(zip(heading, columns.T, strict=True))
+        except (ValueError, IndexError) as error:
+            raise InputError(f"not a history of this program: {error}") from error
 
 
 def sheet_files(folder: Path) -> list[tuple[float | None, Path]]:
-    """Travels and files of the sheets in a folder; a single one has no travel of its own.
-
-    Raises
-    ------
-    InputError
-        If there is none.
-    """
+    """Travels and files of the sheets in a folder; a single one has no travel of its own."""
     increments, single = folder / "result.pvd", folder / "result.vtu"
     if increments.exists() and b"<DataSet" in increments.read_bytes():
         return series(increments)
@@ -338,13 +309,7 @@ def sheet_files(folder: Path) -> list[tuple[float | None, Path]]:
 
 
 def series(path: Path) -> list[tuple[float, Path]]:
-    """Times (travels) and files that a .pvd file names, by time.
-
-    Raises
-    ------
-    InputError
-        If it is not readable, or names no file.
-    """
+    """Times (travels) and files that a .pvd file names, by time."""
     try:
         found = [
             (float(entry.get("timestep", "nan")), path.parent / entry.get("file", ""))
@@ -359,15 +324,13 @@ def series(path: Path) -> list[tuple[float, Path]]:
 
 def _own_sheet(path: Path, travel: float) -> FormedSheet:
     """Sheet in a file of this program."""
-    sheet = read_sheets(path)[-1]
-    for where, names in NEEDED.items():
-        for name in names:
-            if name not in getattr(sheet, where):
-                raise InputError(f"{path}: no field '{name}': not a result of this program")
-    try:
+    with naming(path):
+        sheet = read_sheets(path)[-1]
+        for where, names in NEEDED.items():
+            for name in names:
+                if name not in getattr(sheet, where):
+                    raise InputError(f"no field '{name}': not a result of this program")
         return replace(sheet.with_flat(), travel=travel)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
 
 
 def _write_table(path: Path, heading: Iterable[str], rows: FloatArray, form: str) -> None:

@@ -89,11 +89,9 @@ class Result(Outcome):
         return one_of_many(self)
 
     def table(self) -> dict[str, list[Any]]:
-        """Key numbers: columns quantity, value, estimated_error and unit (for pandas).
+        """Key numbers as columns: quantity, value, estimated_error, unit.
 
-        Examples
-        --------
-        `pandas.DataFrame(result.table())`
+        `pandas.DataFrame(result.table())` takes it.
         """
         found = self.quantities
         units = {"deg": "°", "N": "N", "mm": "mm"}
@@ -105,13 +103,7 @@ class Result(Outcome):
         }
 
     def judge(self, coarser: list[Result]) -> None:
-        """Estimate the error of the mesh from the same scene on coarser ones, coarsest first.
-
-        Parameters
-        ----------
-        coarser : list of Result
-            Each of twice the size of the next.
-        """
+        """Estimate the error of the mesh from coarser results, as `estimate.judged` does."""
         better = judged(self, coarser)
         self.estimate, self.shear_angle_error = better.estimate, better.shear_angle_error
 
@@ -134,10 +126,8 @@ class Result(Outcome):
     def record(self) -> Record:
         """The run as its folder holds it, for pictures, comparison and hand-over."""
         followed = self.followed
-        sheets = Sheets(
-            [run.states[i].travel for run, i in followed],
-            lambda k: followed[k][0].sheet_at(followed[k][1]),
-        )
+        travels = [run.states[i].travel for run, i in followed]
+        sheets = Sheets(travels, lambda k: followed[k][0].sheet_at(followed[k][1]))
         return Record(self.summary(), self.history, sheets, model=self.model, gripped=self.gripped)
 
     def save(self, out: str | Path, *, force: bool = False, pictures: bool | None = None) -> Path:
@@ -159,9 +149,8 @@ class Result(Outcome):
         """
         with replaced(out, force=force) as folder:
             self.write(folder)
-        if (
-            self.model.outputs["pictures"] if pictures is None else pictures
-        ):  # last: the numbers of a long run shall not depend on them
+        # pictures last: the numbers of a long run shall not depend on them
+        if self.model.outputs["pictures"] if pictures is None else pictures:
             self.draw(Path(out))
         return Path(out)
 
@@ -172,12 +161,5 @@ class Result(Outcome):
         plot.save_pictures(self.record, folder)
 
     def write(self, folder: Path, since: int = 0) -> None:
-        """Write all but the pictures into an existing folder.
-
-        Parameters
-        ----------
-        folder : path
-        since : int
-            First of the states along the travel whose mesh is written.
-        """
+        """Write all but the pictures, meshes from number `since` on, into an existing folder."""
         self.record.write(folder, since, increments=self.model.outputs["increments"])

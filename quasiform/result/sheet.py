@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..checks import InputError, check_file
+from ..checks import InputError, check_file, naming
 from ..net.blank import Blank
 
 if TYPE_CHECKING:
@@ -93,14 +93,15 @@ class FormedSheet:
     def F(self) -> FloatArray:
         """(m, 3, 2) deformation gradients; nan where the flat triangle has no area.
 
-        Raises
-        ------
-        InputError
-            If the flat or the formed positions are not known.
+        InputError if the flat or the formed positions are not known.
         """
         if self.points is None or self.flat is None:
             raise InputError(f"{self.name}: needs flat and formed positions")
-        return _deformation(self.points, self.flat, self.triangles)
+        legs = _legs(self.points, self.triangles)
+        a, b = _legs(self.flat, self.triangles).transpose(1, 2, 0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            inverse = np.array([[b[1], -b[0]], [-a[1], a[0]]]) / (a[0] * b[1] - a[1] * b[0])
+        return np.einsum("mki,kjm->mij", legs, inverse)
 
     @cached_property
     def areas(self) -> FloatArray:
@@ -121,10 +122,7 @@ class FormedSheet:
     def along(self) -> FloatArray:
         """(2, 2) flat unit vectors of warp and weft, one a row: F⁻¹ of the formed ones.
 
-        Raises
-        ------
-        InputError
-            If there are no cell fields `warp` and `weft` of three components.
+        InputError without cell fields `warp` and `weft` of three components.
         """
         back, found = np.linalg.pinv(self.F), []
         for family in ("warp", "weft"):
@@ -204,10 +202,7 @@ class FormedSheet:
     def with_flat(self) -> FormedSheet:
         """Return it with the flat positions that its point field `displacement` leads back to.
 
-        Raises
-        ------
-        InputError
-            Without such a field, or where the undeformed sheet is not flat.
+        InputError without such a field, or where the undeformed sheet is not flat.
         """
         if np.shape(self.point_fields.get("displacement"))[1:] != (3,):
             raise InputError("no point field 'displacement' of three components")
@@ -228,15 +223,26 @@ class FormedSheet:
     ) -> FormedSheet:
         """Make it of those points that belong to triangles; the others are counted.
 
-        Raises
-        ------
-        InputError
-            Without triangles, or with points that are missing or not finite.
+        InputError without triangles, or with points that are missing or not finite.
         """
-        used, triangles, left_out = _used(points, triangles, left_out or {})
-        by_point = {name: np.asarray(values)[used] for name, values in point_fields.items()}
-        fields = {"point_fields": by_point, "cell_fields": dict(cell_fields)}
-        return cls(points[used], triangles, left_out=left_out, **fields, **more)
+        if not len(triangles):
+            raise InputError("no triangles or quadrilaterals")
+        if triangles.min() < 0 or triangles.max() >= len(points):
+            raise InputError("a triangle refers to a point that is not there")
+        used, triangles = np.unique(triangles, return_inverse=True)
+        if not np.isfinite(points[used]).all():
+            raise InputError("not all points are finite numbers")
+        left_out = dict(left_out or {})
+        if unused := len(points) - len(used):
+            left_out["nodes without a triangle"] = unused
+        return cls(
+            points[used],
+            triangles.reshape(-1, 3),
+            point_fields={name: np.asarray(values)[used] for name, values in point_fields.items()},
+            cell_fields=dict(cell_fields),
+            left_out=left_out,
+            **more,
+        )
 
     @classmethod
     def from_meshio(cls, mesh: meshio.Mesh, travel: float | None = None) -> FormedSheet:
@@ -258,13 +264,7 @@ class FormedSheet:
         )
 
     def to_pyvista(self) -> pyvista.PolyData:
-        """Surface of PyVista with all fields.
-
-        Raises
-        ------
-        InputError
-            If PyVista is not installed.
-        """
+        """Surface of PyVista with all fields; InputError if PyVista is not installed."""
         try:
             import pyvista
         except ImportError as error:
@@ -285,11 +285,7 @@ def read_sheets(path: str | Path) -> list[FormedSheet]:
     """Read a formed mesh as it stands in a .vtu, .vtk, .xdmf or .xmf file; of a series its states.
 
     The flat positions are left open: `FormedSheet.with_flat` finds them in files of this program.
-
-    Raises
-    ------
-    InputError
-        Naming the file and its defect.
+    InputError names the file and its defect.
     """
     path = Path(path)
     kind = path.suffix.lower()
@@ -299,45 +295,21 @@ def read_sheets(path: str | Path) -> list[FormedSheet]:
 
 
 def readable(path: Path, read: Callable[[], Any]) -> Any:
-    """Call a reader of a mesh file; what its parser meets becomes one line naming the file.
-
-    Raises
-    ------
-    InputError
-    """
-    kind = path.suffix.lower()
-    try:
-        check_file(path)
-        with redirect_stdout(StringIO()), redirect_stderr(StringIO()), warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+    """Call a reader of a mesh file; what its parser meets becomes an InputError naming the file."""
+    log = StringIO()
+    with naming(path), redirect_stdout(log), redirect_stderr(log), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            check_file(path)
             return read()
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from error
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
-    except ImportError as error:
-        raise InputError(
-            f"{path}: its numbers are in HDF5, which needs h5py: pip install h5py"
-        ) from error
-    except (Exception, SystemExit) as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"{path}: not a readable {kind} file: {reason}") from error
-
-
-def _used(
-    points: FloatArray, triangles: np.ndarray, left_out: Mapping[str, int]
-) -> tuple[np.ndarray, np.ndarray, dict[str, int]]:
-    """Points that belong to triangles, the triangles in their numbers, and what is left out."""
-    if not len(triangles):
-        raise InputError("no triangles or quadrilaterals")
-    if triangles.min() < 0 or triangles.max() >= len(points):
-        raise InputError("a triangle refers to a point that is not there")
-    used, triangles = np.unique(triangles, return_inverse=True)
-    if not np.isfinite(points[used]).all():
-        raise InputError("not all points are finite numbers")
-    unused = len(points) - len(used)
-    more = {"nodes without a triangle": unused} if unused else {}
-    return used, triangles.reshape(-1, 3), {**left_out, **more}
+        except (OSError, InputError):
+            raise
+        except ImportError as error:
+            missing = "its numbers are in HDF5, which needs h5py: pip install h5py"
+            raise InputError(missing) from error
+        except (Exception, SystemExit) as error:
+            reason = " ".join(str(error).split()) or type(error).__name__
+            raise InputError(f"not a readable {path.suffix.lower()} file: {reason}") from error
 
 
 def _from_meshio(mesh: meshio.Mesh, travel: float | None) -> FormedSheet:
@@ -350,24 +322,18 @@ def _from_meshio(mesh: meshio.Mesh, travel: float | None) -> FormedSheet:
         if not splits and len(block.data):
             left_out[block.type] = left_out.get(block.type, 0) + len(block.data)
     points = np.asarray(mesh.points, dtype=float)
-    return FormedSheet.of_surface(
-        np.pad(points, ((0, 0), (0, 3 - points.shape[1]))),
-        np.concatenate(triangles),
-        mesh.point_data,
-        {
-            name: np.concatenate(
-                [np.asarray(v)[rows] for v, rows in zip(blocks, chosen, strict=True)]
-            )
-            for name, blocks in mesh.cell_data.items()
-        },
-        left_out,
-        travel=travel,
-        loose={
-            name: float(np.ravel(value)[-1])
-            for name, value in mesh.field_data.items()
-            if np.issubdtype(np.asarray(value).dtype, np.number) and np.size(value)
-        },
-    )
+    cell_fields = {
+        name: np.concatenate([np.asarray(v)[k] for v, k in zip(blocks, chosen, strict=True)])
+        for name, blocks in mesh.cell_data.items()
+    }
+    loose = {
+        name: float(np.ravel(value)[-1])
+        for name, value in mesh.field_data.items()
+        if np.issubdtype(np.asarray(value).dtype, np.number) and np.size(value)
+    }
+    points = np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
+    surface = points, np.concatenate(triangles), mesh.point_data, cell_fields, left_out
+    return FormedSheet.of_surface(*surface, travel=travel, loose=loose)
 
 
 def _meshes(path: Path) -> Iterator[tuple[meshio.Mesh, float | None]]:
@@ -386,21 +352,11 @@ def _meshes(path: Path) -> Iterator[tuple[meshio.Mesh, float | None]]:
         yield module.read(path), None
 
 
-def _deformation(points: FloatArray, flat: FloatArray, triangles: np.ndarray) -> FloatArray:
-    """(m, 3, 2) F = dx dX⁻¹ of the legs of each triangle."""
-    legs = _legs(points, triangles)
-    a, b = _legs(flat, triangles).transpose(1, 2, 0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        inverse = np.array([[b[1], -b[0]], [-a[1], a[0]]]) / (a[0] * b[1] - a[1] * b[0])
-    return np.einsum("mki,kjm->mij", legs, inverse)
-
-
 def _loops(triangles: np.ndarray, flat: FloatArray) -> list[np.ndarray]:
     """Closed lists of nodes around (n, 2) places: the outer one first, then the holes."""
     edges = np.stack([triangles, np.roll(triangles, -1, 1)], axis=2).reshape(-1, 2)
-    _, first, count = np.unique(
-        np.sort(edges, axis=1), axis=0, return_index=True, return_counts=True
-    )
+    both = np.sort(edges, axis=1)
+    _, first, count = np.unique(both, axis=0, return_index=True, return_counts=True)
     beside: dict[int, list[int]] = {}
     rim = edges[np.sort(first[count == 1])].tolist()
     for start, end in rim:

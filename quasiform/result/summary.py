@@ -8,19 +8,13 @@ from typing import Any
 import numpy as np
 
 from .certificate import Certificate, one_of_many, trust
-from .measures import percentile
+from .measures import chord_penetration, max_penetration, percentile
 from .outcome import Outcome
 from .record import FORMAT
 
 
 def summarise(result: Outcome, certificate: Certificate) -> dict[str, Any]:
-    """Contents of `summary.json`: numbers that are not finite become None.
-
-    Parameters
-    ----------
-    result : Outcome
-    certificate : Certificate
-    """
+    """Contents of `summary.json`: numbers that are not finite become None."""
     model, sheet = result.model, result.sheet
     gamma, areas = np.abs(sheet.shear_angle), sheet.flat_areas
     strain = np.maximum(sheet.cell_fields["E11"], sheet.cell_fields["E22"]).max()
@@ -63,23 +57,22 @@ def summarise(result: Outcome, certificate: Certificate) -> dict[str, Any]:
         "one_of_many": one_of_many(result) or None,
         "spread": result.spread or None,
         "certified": certificate.certified,
-        "certificate": {
-            "converged": certificate.converged,
-            "reasons": list(certificate.reasons),
-        },
+        "certificate": {"converged": certificate.converged, "reasons": certificate.reasons},
         "trust": trust(result),
         "doubtful_share": {
             reason: float(areas @ flag / areas.sum()) for reason, flag in sheet.doubts().items()
         },
     }
-    return _finite(summary | (_forming(result) if model.contacts else {}))
+    if model.contacts:
+        summary |= _between_tools(result)
+    return _finite(summary)
 
 
-def _forming(result: Outcome) -> dict[str, Any]:
-    """What is read off a sheet between tools."""
+def _between_tools(result: Outcome) -> dict[str, Any]:
+    model, x = result.model, result.states[-1].x
     return {
-        "max_penetration_mm": result.max_penetration,
-        "chord_penetration_mm": result.chord_penetration,
+        "max_penetration_mm": max_penetration(model, x),
+        "chord_penetration_mm": chord_penetration(model, x),
         "draw_in_mm": result.draw_in,
         "areas": result.areas,
         "resting_tools": result.resting_tools(),

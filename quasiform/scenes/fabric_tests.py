@@ -7,6 +7,7 @@ from functools import partial
 from math import atan2, cos, degrees, radians, sin
 from numbers import Real
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import shapely
@@ -21,9 +22,7 @@ from ..model import Model
 from ..net.blank import Blank, rectangle
 from ..net.free_mesh import PAIRED, check_same_size, own_mesh, triangulate
 from ..recipe import built
-from ..unknowns import Unknowns
-
-FloatArray = np.ndarray
+from ..unknowns import FloatArray, Sheet, Unknowns
 
 
 def off_axis_tension(
@@ -54,23 +53,13 @@ def off_axis_tension(
         Cut from the fibre lines; a free triangulation of as many triangles; or the user's own mesh
         of the specimen, centred at the origin. The last two do not follow the fibres.
 
-    Returns
-    -------
-    Model
-
     Raises
     ------
     InputError
         For bad numbers, or an angle at which a fibre joins both grips.
     """
     fabric = fabric_of(law)
-    for name, value in (
-        ("length", length),
-        ("width", width),
-        ("displacement", displacement),
-        ("size", size),
-    ):
-        check_number(name, value)
+    _check(length=length, width=width, displacement=displacement, size=size)
     low = degrees(atan2(width, length))
     if not (isinstance(angle, Real) and low < angle < 90.0 - low):
         raise InputError(
@@ -79,29 +68,16 @@ def off_axis_tension(
         )
     if size > width:
         raise InputError(f"size must not exceed the width {width:g} mm, got {size:g}")
-    return built(
-        strip_under_tension,
-        size,
-        angle=angle,
-        fabric=fabric,
-        length=length,
-        width=width,
-        displacement=displacement,
-        mesh=mesh if mesh in ("fibre", "free") else Path(mesh),
-    )
+    given = {"angle": angle, "length": length, "width": width, "displacement": displacement}
+    mesh = mesh if mesh in ("fibre", "free") else Path(mesh)
+    return built(strip_under_tension, size, **given, fabric=fabric, mesh=mesh)
 
 
 def strip_under_tension(
-    size: float,
-    like: Model | None,
-    angle: float,
-    fabric: Fabric,
-    length: float,
-    width: float,
-    displacement: float,
-    mesh: str | Path,
+    size: float, like: Model | None, fabric: Fabric, mesh: str | Path, **given: float
 ) -> Model:
     """Build the model of an off-axis tension test."""
+    angle, length, width = given["angle"], given["length"], given["width"]
     spacing = size / np.sqrt(2.0)
     if mesh == "fibre":
         blank = rectangle(length, width, spacing, orientation=-angle)
@@ -124,41 +100,27 @@ def strip_under_tension(
         field = (np.degrees(membrane.shear_angle(x)), 0.5 * (I4 - 1), 0.5 * (I8 - 1))[quantity]
         return float(weights @ field)
 
-    return Model(
-        name=f"oat-{angle:g}",
-        unknowns=unknowns,
-        sheets=[sheet],
-        terms=[membrane],
-        x0=blank.nodes.ravel().copy(),
-        fixed=np.repeat(left | right, 2),
+    numbers = {name: given[name] for name in ("length", "width", "displacement")}
+    identity = {"angle": angle, "law": fabric.name, "fabric": asdict(fabric)}
+    free = "held flat; fibres curve freely in the plane, as in the paper's model"
+    return _plane(
+        f"oat-{angle:g}",
+        unknowns,
+        sheet,
+        membrane,
+        fixed=left | right,
         drive=drive,
-        travel=float(displacement),
-        increment=5.0,
-        rows=5.0,
-        parameters={
-            "angle": angle,
-            "law": fabric.name,
-            "fabric": asdict(fabric),
-            "length": length,
-            "width": width,
-            "displacement": displacement,
-            "size": size,
-            "mesh": str(mesh),
-        },
+        travel=float(given["displacement"]),
+        parameters={**identity, **numbers, "size": size, "mesh": str(mesh)},
         measures={
             "shear_angle_center_deg": partial(mean, 0),
-            "shear_angle_max_deg": lambda x: float(
-                np.degrees(np.abs(membrane.shear_angle(x)).max())
-            ),
+            "shear_angle_max_deg": membrane.largest_shear_angle,
             "E11_center": partial(mean, 1),
             "E22_center": partial(mean, 2),
         },
         description=[
             ("plane problem", "no tools and no load out of the plane: two dofs a node, held flat"),
-            (
-                "bending left out",
-                "held flat; fibres curve freely in the plane, as in the paper's model",
-            ),
+            ("bending left out", free),
             ("contact and friction left out", "no tools"),
             ("weight left out", "acts out of the plane"),
             *([PAIRED] if blank.pairs is not None else []),
@@ -167,18 +129,29 @@ def strip_under_tension(
     )
 
 
+def _plane(
+    name: str, unknowns: Unknowns, sheet: Sheet, membrane: Membrane, fixed: np.ndarray, **given: Any
+) -> Model:
+    """Model of a plane test whose sheet is flat, with `fixed` (n_nodes,) bool nodes."""
+    x0, fixed = sheet.blank.nodes.ravel().copy(), np.repeat(fixed, 2)
+    given |= {"increment": 5.0, "rows": 5.0}
+    return Model(name, unknowns, [sheet], [membrane], x0, fixed, **given)
+
+
+def _check(**numbers: float) -> None:
+    for name, value in numbers.items():
+        check_number(name, value)
+
+
 def _centre(blank: Blank, length: float, width: float, angle: float) -> FloatArray:
     """(n_triangles,) weights of the centre: in the zone of full shear, near the middle."""
-    zones = off_axis_zones(blank, length, width, angle)
-    band = min(
-        length * sin(radians(angle)) - width * cos(radians(angle)),
-        length * cos(radians(angle)) - width * sin(radians(angle)),
-    )
-    radius = min(width / 8, band / 2)
-    centre = zones["full"] & (np.linalg.norm(blank.centroids, axis=1) < radius)
+    full = off_axis_zones(blank, length, width, angle)["full"]
+    c, s = cos(radians(angle)), sin(radians(angle))
+    band = min(length * s - width * c, length * c - width * s)
+    near = np.linalg.norm(blank.centroids, axis=1)
+    centre = full & (near < min(width / 8, band / 2))
     if not centre.any():
-        near = np.linalg.norm(blank.centroids, axis=1)
-        centre = zones["full"] & (near <= near[zones["full"]].min() * (1 + 1e-9))
+        centre = full & (near <= near[full].min() * (1 + 1e-9))
     return np.where(centre, blank.areas, 0.0) / blank.areas[centre].sum()
 
 
@@ -187,11 +160,8 @@ def off_axis_zones(
 ) -> dict[str, np.ndarray]:
     """Triangles of the zones of Schäfer et al., Fig. 2 a, by which of their fibres reach a grip.
 
-    Returns
-    -------
-    dict with bool arrays (n_triangles,)
-        "full" (no fibre is gripped), "warp free" and "weft free" (that family alone is free) and
-        "rigid" (both gripped).
+    Bool arrays (n_triangles,): "full" (no fibre is gripped), "warp free" and "weft free" (that
+    family alone is free) and "rigid" (both gripped).
     """
     c, s = cos(radians(angle)), sin(radians(angle))
     # a warp line is free if it crosses both free edges: seen by its weft coordinate
@@ -206,10 +176,7 @@ def off_axis_zones(
 
 
 def picture_frame(
-    side: float = 100.0,
-    shear: float = 50.0,
-    law: str | Fabric = "locking",
-    size: float = 10.0,
+    side: float = 100.0, shear: float = 50.0, law: str | Fabric = "locking", size: float = 10.0
 ) -> Model:
     """Picture frame: a square net, fibres along the sides, sheared by a hinged rigid frame.
 
@@ -226,19 +193,14 @@ def picture_frame(
     size : float
         Spacing of the fibre lines, mm.
 
-    Returns
-    -------
-    Model
-
     Raises
     ------
     InputError
         For bad numbers, or a shear angle of 90 degrees and more.
     """
     fabric = fabric_of(law)
-    check_number("side", side)
-    check_number("size", size)
-    if not 0 < check_number("shear", shear) < 90:
+    _check(side=side, size=size, shear=shear)
+    if shear >= 90:
         raise InputError(f"shear must lie below 90 degrees, got {shear:g}")
     return built(sheet_in_frame, size, side=side, shear=shear, fabric=fabric)
 
@@ -249,8 +211,7 @@ def sheet_in_frame(
     """Build the model of a picture frame."""
     blank = rectangle(side, side, size)
     sheet = (unknowns := Unknowns()).sheet(blank, fabric, 2)
-    rim = np.zeros(len(blank.nodes), dtype=bool)
-    rim[np.unique(blank.mesh.facets[:, blank.mesh.boundary_facets()])] = True
+    rim = np.isin(np.arange(len(blank.nodes)), blank.mesh.boundary_nodes())
     diagonal = np.array([[1.0, 1.0], [-1.0, 1.0]]) / np.sqrt(2.0)  # pulled, and across
 
     def frame(d: float) -> tuple[FloatArray, FloatArray]:
@@ -262,17 +223,14 @@ def sheet_in_frame(
         return (along * stretch @ diagonal).ravel(), (along * rate @ diagonal).ravel()
 
     gamma = radians(shear)
-    return Model(
-        name="picture-frame",
-        unknowns=unknowns,
-        sheets=[sheet],
-        terms=[Membrane(sheet)],
-        x0=blank.nodes.ravel().copy(),
-        fixed=np.repeat(rim, 2),
+    return _plane(
+        "picture-frame",
+        unknowns,
+        sheet,
+        Membrane(sheet),
+        fixed=rim,
         drive=frame,
         travel=2.0 * side * cos(np.pi / 4 - gamma / 2) - np.sqrt(2.0) * side,
-        increment=5.0,
-        rows=5.0,
         parameters={"side": side, "shear": shear, "law": fabric.name, "size": size},
         description=[("plane problem", "held flat by the frame")],
     )
@@ -301,55 +259,36 @@ def cantilever(
     family : "warp" or "weft"
         Fibres along the strip.
 
-    Returns
-    -------
-    Model
-
     Raises
     ------
     InputError
         For bad numbers, or an unknown family.
     """
     fabric = fabric_of(law)
-    for name, value in (("length", length), ("load", load), ("width", width), ("size", size)):
-        check_number(name, value)
+    _check(length=length, load=load, width=width, size=size)
     if family not in ("warp", "weft"):
         raise InputError(f"family must be 'warp' or 'weft', got {family!r}")
-    return built(
-        hanging_strip, size, length=length, load=load, width=width, fabric=fabric, family=family
-    )
+    given = {"length": length, "load": load, "width": width, "family": family}
+    return built(hanging_strip, size, **given, fabric=fabric)
 
 
-def hanging_strip(
-    size: float,
-    like: Model | None,
-    length: float,
-    load: float,
-    width: float,
-    fabric: Fabric,
-    family: str,
-) -> Model:
+def hanging_strip(size: float, like: Model | None, fabric: Fabric, **given: Any) -> Model:
     """Build the model of a cantilever."""
+    length, load, width, family = (given[n] for n in ("length", "load", "width", "family"))
     angle = 0.0 if family == "warp" else -90.0
     blank = rectangle(length, width, size, angle, centre=(length / 2, 0.0))
     sheet = (unknowns := Unknowns()).sheet(blank, fabric, 3)
     factor = unknowns.add("load factor of the weight", 1)
     clamped = np.abs(blank.nodes[:, 0]) < 1e-9 * length
-    x0, drive = np.zeros(unknowns.size), np.zeros(unknowns.size)
-    x0[sheet.dofs[:, :2]] = blank.nodes
-    fixed = np.zeros(unknowns.size, dtype=bool)
+    x0, fixed, drive = unknowns.start(sheet)
     fixed[sheet.dofs[clamped]] = True
-    fixed[factor.dofs] = True
-    drive[factor.dofs] = 1.0
+    fixed[factor.dofs], drive[factor.dofs] = True, 1.0
+    weight = SheetWeight(sheet, load, int(factor.dofs[0, 0]))
     return Model(
         name=f"cantilever-{family}",
         unknowns=unknowns,
         sheets=[sheet],
-        terms=[
-            Membrane(sheet),
-            Bending(sheet, clamped),
-            SheetWeight(sheet, load, int(factor.dofs[0, 0])),
-        ],
+        terms=[Membrane(sheet), Bending(sheet, clamped), weight],
         x0=x0,
         fixed=fixed,
         drive=drive,

@@ -39,9 +39,8 @@ from .room import check_clearance, mirror_planes
 from .scene_file import SceneFile, SurfaceFile, ToolPart
 from .supports import fix_supports, grips, keep_middle
 
-FloatArray = np.ndarray
-Description = list[tuple[str, str]]
 SIZE = 5.0  # mm, the default
+FACTOR = "load factor of the weight"
 
 
 def forming(
@@ -70,10 +69,6 @@ def forming(
     symmetry : "auto", "half" or "none", optional
         Whether mirror planes of blank, fibres and tools are used: all, at most one, or none.
 
-    Returns
-    -------
-    Model
-
     Raises
     ------
     InputError
@@ -98,76 +93,64 @@ def forming(
         raise InputError(
             "forming in space needs a bending stiffness: bending_warp or _weft is zero"
         )
-    return built(
-        formed_between_tools,
-        size,
-        file=file,
-        name=name if isinstance(scene, str | Path) else file.name,
-        fabric=fabric,
-        orientation=float(orientation),
-        travel=goal,
-        symmetry=symmetry,
-    )
+    given = {"orientation": float(orientation), "travel": goal, "symmetry": symmetry}
+    return built(formed_between_tools, size, file=file, name=name, fabric=fabric, **given)
 
 
 def formed_between_tools(
-    size: float,
-    like: Model | None,
-    file: SceneFile,
-    name: str,
-    fabric: Fabric,
-    orientation: float,
-    travel: float,
-    symmetry: str,
+    size: float, like: Model | None, file: SceneFile, name: str, fabric: Fabric, **given: Any
 ) -> Model:
     """Build the model of a forming scene, with the tools of a model `like` it if there is one."""
-    description: Description = [("bending of warp and weft lines", "the sheet leaves its plane")]
+    orientation, travel, symmetry = (given[n] for n in ("orientation", "travel", "symmetry"))
+    description = [("bending of warp and weft lines", "the sheet leaves its plane")]
     own = None
     if isinstance(file.mesh, Path):
         free_mesh.check_same_size(size, like and like.size)
         own = free_mesh.own_mesh(file.mesh, orientation, file.mesh_scale)
     outline = free_mesh.outline_of(own) if own else file.outline
-    if not own:
-        _check_size(size, outline)
+    low_x, low_y, high_x, high_y = outline.bounds
+    if not own and size > (largest := min(high_x - low_x, high_y - low_y) / 8):
+        raise InputError(f"size must not exceed an eighth of the blank, {largest:g}, got {size:g}")
     tools, from_files = like.tools if like else _tools(file, fabric, outline)
     for read in from_files.values():
         description += read.told(tools, outline, travel)
-    check_clearance(tools, from_files, outline, fabric.thickness, travel)
+    if not like:
+        check_clearance(tools, from_files, outline, fabric.thickness, travel)
     mirror, why = mirror_planes(file, tools, outline, orientation, travel, symmetry, fabric)
     description += why
     frame = orientation if mirror else 0.0
-    blank = own or _mesh(file.mesh, outline, size, orientation, frame, mirror)
+    blank = own or _mesh(file.mesh, outline, size, frame, orientation - frame, mirror)
+    tools_in_frame = [_in_frame(tool, frame, blank) for tool in tools]
+    sheet = (unknowns := Unknowns()).sheet(blank, fabric, 3, frame)
+    for tool in tools_in_frame:
+        unknowns.add(tool.name, 3 if tool.tilts else 1)
+    if file.gravity:
+        unknowns.add(FACTOR, 1)
+    x0, fixed, drive = unknowns.start(sheet)
+    parameters = {"scene": name} | ({"scene_file": file.source} if file.source else {})
+    parameters |= {"orientation": orientation, "law": fabric.name, "size": size, "travel": travel}
+    parameters |= {"symmetry": symmetry, "fabric": asdict(fabric), "standings": file.standings}
     model = Model(
         name=f"{file.name}-{orientation:g}",
-        unknowns=(unknowns := Unknowns()),
-        sheets=[unknowns.sheet(blank, fabric, 3, frame)],
+        unknowns=unknowns,
+        sheets=[sheet],
         terms=[],
-        x0=np.empty(0),
-        fixed=np.empty(0, dtype=bool),
-        drive=np.empty(0),
+        x0=x0,
+        fixed=fixed,
+        drive=drive,
         travel=travel,
         increment=file.increment,
         rows=file.rows,
         travel_name="travel_mm",
         share=0.5 ** len(blank.mirror),
         description=description,
-        parameters={
-            "scene": name,
-            **({"scene_file": file.source} if file.source else {}),
-            "orientation": orientation,
-            "law": fabric.name,
-            "size": size,
-            "travel": travel,
-            "symmetry": symmetry,
-            "fabric": asdict(fabric),
-            "standings": file.standings,
-        },
+        parameters=parameters,
         areas=dict(file.areas),
         outputs=file.outputs,
         tools=(tools, from_files),
         coarsest=min((getattr(tool.shape, "sharpest", 0.0) for tool in tools), default=0.0),
     )
-    _assemble(model, file, [_in_frame(tool, frame, blank) for tool in tools], outline)
+    _assemble(model, file, tools_in_frame, outline)
     _measure(model)
     return model
 
@@ -176,18 +159,6 @@ def formed_between_tools(
 def _(file: SceneFile) -> dict[str, Any]:
     content = {"toml": scene_file.scene_toml(file), "source": file.source}
     return {"read": reference(scene_file.read_text), "from": content}
-
-
-# The parts
-
-
-def _check_size(size: float, outline: shapely.Polygon) -> None:
-    low_x, low_y, high_x, high_y = outline.bounds
-    least = min(high_x - low_x, high_y - low_y)
-    if size > least / 8:
-        raise InputError(
-            f"size must not exceed an eighth of the blank, {least / 8:g}, got {size:g}"
-        )
 
 
 def _tools(
@@ -205,17 +176,11 @@ def _tool(part: ToolPart, fabric: Fabric, read: tool_file.ToolFile | None) -> To
     shape, rest = part.shape, 0.0 if part.role == "die" else fabric.thickness
     if read:
         shape, rest = read.grid, read.rest
-    return Tool(
-        part.name,
-        shape,
-        rest if part.z is None else part.z,
-        part.motion,
-        fabric.friction if part.friction is None else part.friction,
-        part.mass,
-        part.force,
-        part.place,
-        part.motion == "free" and part.tilt is not False,
-    )
+    z = rest if part.z is None else part.z
+    friction = fabric.friction if part.friction is None else part.friction
+    tilts = part.motion == "free" and part.tilt is not False
+    loads = part.mass, part.force
+    return Tool(part.name, shape, z, part.motion, friction, *loads, part.place, tilts)
 
 
 def _in_frame(tool: Tool, frame: float, blank: Blank) -> Tool:
@@ -228,38 +193,20 @@ def _in_frame(tool: Tool, frame: float, blank: Blank) -> Tool:
 
 
 def _mesh(
-    mesh: str | Path,
-    outline: shapely.Polygon,
-    size: float,
-    orientation: float,
-    frame: float,
-    mirror: tuple[str, ...],
+    mesh: str | Path, outline: shapely.Polygon, size: float, turn: float, warp: float, mirror: tuple
 ) -> Blank:
-    outline = shapely.affinity.rotate(outline, -frame, origin=(0, 0))
+    outline = shapely.affinity.rotate(outline, -turn, origin=(0, 0))
     if mesh == "free":
-        return free_mesh.triangulate(outline, size, orientation - frame)
-    return cut(outline, size, orientation - frame, through=((0.0, 0.0),), mirror=mirror)
+        return free_mesh.triangulate(outline, size, warp)
+    return cut(outline, size, warp, through=((0.0, 0.0),), mirror=mirror)
 
 
-# Energies and supports
-
-
-def _assemble(
-    model: Model, file: SceneFile, tools: Sequence[Tool], outline: shapely.Polygon
-) -> None:
-    """Put unknowns, energies and supports into a model."""
+def _assemble(model: Model, file: SceneFile, tools: list[Tool], outline: shapely.Polygon) -> None:
+    """Put energies and supports into a model."""
     sheet = model.sheet
     blank, fabric = sheet.blank, sheet.fabric
-    fields = [model.unknowns.add(tool.name, 3 if tool.tilts else 1) for tool in tools]
-    factor = model.unknowns.add("load factor of the weight", 1) if file.gravity else None
-    n_dofs = model.unknowns.size
-    model.x0, model.drive = np.zeros(n_dofs), np.zeros(n_dofs)
-    model.fixed = np.zeros(n_dofs, dtype=bool)
-    model.x0[sheet.dofs[:, :2]] = blank.nodes
     points = at_nodes(blank)
-    contacts = [
-        Contact(sheet, tool, field.dofs, points) for tool, field in zip(tools, fields, strict=True)
-    ]
+    contacts = [Contact(sheet, tool, model.unknowns[tool.name].dofs, points) for tool in tools]
     weights: list[Term] = _rest(model, contacts)
     for contact in contacts:
         if (contact.penetration(model.x0) > fabric.thickness).any():
@@ -270,42 +217,37 @@ def _assemble(
         if plane in blank.mirror:
             model.fixed[sheet.dofs[:, axis]] |= np.abs(blank.nodes[:, axis]) < 1e-9
     clamped = fix_supports(model, file, outline)
-    membrane: Term = membrane_of(sheet)
-    if blank.pairs is None:
-        bending: Term = Bending(sheet, clamped)
-    else:
-        bending = PatchBending(sheet)
+    if blank.pairs is not None:
         model.description.append(PAIRED)
         if clamped is not None:
             raise InputError("clamp = true needs a mesh that follows the fibres")
+    bending = Bending(sheet, clamped) if blank.pairs is None else PatchBending(sheet)
     contacts += _between_nodes(model, contacts)
     frictions = [Friction(c) for c in contacts if c.tool.friction]
     if not frictions:
         model.description.append(("friction left out", "its coefficient is zero"))
         keep_middle(model, file)
-    if factor:
-        model.fixed[factor.dofs], model.x0[factor.dofs] = True, 1.0
-        load = 1e-6 * GRAVITY * fabric.areal_weight
-        weights.append(SheetWeight(sheet, load, int(factor.dofs[0, 0])))
+    if file.gravity:
+        factor = int(model.unknowns[FACTOR].dofs[0, 0])
+        model.fixed[factor], model.x0[factor] = True, 1.0
+        weights.append(SheetWeight(sheet, 1e-6 * GRAVITY * fabric.areal_weight, factor))
     else:
         total = 1e-6 * fabric.areal_weight * outline.area * GRAVITY
         resting = model.resting / model.share
         beside = f" beside the {resting:.3g} N that rest on it" if resting else ""
-        model.description.append(
-            ("weight of the sheet left out", f"{total:.2g} N{beside} (gravity = false)")
-        )
+        why = f"{total:.2g} N{beside} (gravity = false)"
+        model.description.append(("weight of the sheet left out", why))
     model.resting += sum(g.tension for g in file.grippers)
     model.resting += file.gravity * 1e-6 * GRAVITY * fabric.areal_weight * blank.areas.sum()
     pulls = grips(model, file, outline)
-    model.terms = [membrane, bending, *contacts, *frictions, *weights, *pulls]
+    model.terms = [membrane_of(sheet), bending, *contacts, *frictions, *weights, *pulls]
 
 
 def _rest(model: Model, contacts: Sequence[Contact]) -> list[Term]:
     """Place the tools; start at the equilibrium of resting ones, sunk in with the sheet."""
     sheet, x0, fixed = model.sheet, model.x0, model.fixed
     heights, t0 = sheet.dofs[:, 2], sheet.fabric.thickness
-    weights: list[Term] = []
-    sunk = 0.0
+    weights, sunk = list[Term](), 0.0
     for contact in contacts:
         tool, dof = contact.tool, int(contact.tool_dofs[0])
         x0[dof] = tool.height
@@ -336,12 +278,8 @@ def _rest(model: Model, contacts: Sequence[Contact]) -> list[Term]:
 def _between_nodes(model: Model, contacts: Sequence[Contact]) -> list[Contact]:
     """Contact between nodes, for the tools whose edges are sharper than the mesh."""
     blank = model.sheet.blank
-    edges = at_edges(blank)
-    sharp = [
-        contact
-        for contact in contacts
-        if getattr(contact.tool.shape, "sharpest", 0.0) < blank.size * (1 - 1e-9)
-    ]
+    edges, finest = at_edges(blank), blank.size * (1 - 1e-9)
+    sharp = [c for c in contacts if getattr(c.tool.shape, "sharpest", 0.0) < finest]
     why = f"{'a' if sharp else 'no'} tool bends more sharply than the elements"
     model.description.append((f"contact at nodes{' and mid-edges' * bool(sharp)}", why))
     return [Contact(model.sheet, c.tool, c.tool_dofs, edges) for c in sharp]
@@ -349,14 +287,14 @@ def _between_nodes(model: Model, contacts: Sequence[Contact]) -> list[Contact]:
 
 def _measure(model: Model) -> None:
     """Set the columns of the history, and where the draw-in is measured."""
-    sheet, membrane, share = model.sheet, model.membrane, model.share
+    sheet, share = model.sheet, model.share
     model.edges = edge_points(sheet.whole[0])
     resting = [c for c in model.contacts if c.tool.motion == "free"]
     model.measures = {
         "holder_force_N": lambda x: float(
             -sum(c.gradient(x)[:, c.height_column].sum() for c in resting) / share
         ),
-        "shear_angle_max_deg": lambda x: float(np.degrees(np.abs(membrane.shear_angle(x)).max())),
+        "shear_angle_max_deg": model.membrane.largest_shear_angle,
         "draw_in_mm": lambda x: float(
             np.mean([e.draw_in(sheet.whole_positions(x)) for e in model.edges.values()])
         ),

@@ -22,12 +22,7 @@ def check_clearance(
     thickness: float,
     travel: float,
 ) -> None:
-    """Driven and fixed tools must leave room for the sheet between them at the end.
-
-    Raises
-    ------
-    InputError
-    """
+    """Refuse driven and fixed tools that leave no room for the sheet between them at the end."""
     low_x, low_y, high_x, high_y = outline.bounds
     z = np.linspace(-travel, 0.0, 30)
     grid = np.meshgrid(np.linspace(low_x, high_x, 60), np.linspace(low_y, high_y, 60), z)
@@ -57,13 +52,9 @@ def mirror_planes(
     symmetry: str,
     fabric: Fabric,
 ) -> tuple[tuple[str, ...], list[tuple[str, str]]]:
-    """Planes along the fibres that map blank and tools onto themselves, in the fibres' axes.
+    """Planes "x" and "y" along the fibres that map blank and tools onto themselves, and why.
 
-    Returns
-    -------
-    planes : tuple of "x" and "y"
-    why : list of (entry, reason)
-        For the description of the model.
+    In the fibres' axes; the second is for the description of the model.
     """
     for left_out, why in (
         (symmetry == "none", "symmetry is switched off"),
@@ -87,10 +78,8 @@ def mirror_planes(
         for tool in tools if same else ():
             same = same and abs(along[:, axis] @ tool.place) < 1e-9
             sunk = -travel if tool.motion == "driven" else 0.0
-            d = [
-                tool.gap(np.column_stack([points @ along.T, z]), sunk)
-                for points in (flat, flat * flip)
-            ]
+            sides = [np.column_stack([points @ along.T, z]) for points in (flat, flat * flip)]
+            d = [tool.gap(points, sunk) for points in sides]
             near = np.minimum(*np.abs(d)) < 2 * fabric.thickness
             off = np.abs(d[0] - d[1])[near]
             same = same and not (off > 0.01 * fabric.thickness).any()

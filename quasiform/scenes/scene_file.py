@@ -4,36 +4,379 @@ The built-in scenes (`geometries/*.toml`) are such files. A number is written pl
 `{ value, unit, standing }` where it carries its standing (stated, assumed, measured, ...).
 Lengths are mm, masses kg, forces N, angles degrees. Paths are relative to the file.
 
-A `SceneFile` and its parts are plain data, from which outline and tools are built when they are
-asked for; `scene_toml` writes it back.
+The tables of a file are pydantic models, which become a `SceneFile` of plain parts (`scene_parts`);
+`scene_toml` writes it back.
 """
 
-from __future__ import annotations
-
+import difflib
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import reduce
+from operator import or_
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal, Self
 
-from ..checks import InputError, suggestion
+import numpy as np
+from pydantic import (
+    AfterValidator,
+    Discriminator,
+    Field,
+    StrictBool,
+    StrictStr,
+    Tag,
+    create_model,
+    model_validator,
+)
+
+from .. import schema
+from ..checks import InputError, check_keys, suggestion
+from ..schema import LARGEST, OPEN, Table, checked, number, path, vector
 from ..toml_file import read_toml, toml_text
 from ..tools.part import SHAPES, Form, ToolPart
+from ..tools.shapes import FAR
 from ..tools.surface_file import SurfaceFile
-from .scene_parts import (
-    OF_A_FILE,
-    OF_A_TOOL,
-    REGION,
-    Gripper,
-    Region,
-    SceneFile,
-    Support,
-    Where,
-)
+from .scene_parts import MOTIONS, REGION, Gripper, Region, SceneFile, Support, Where
 
 __all__ = ["Form", "Gripper", "Region", "SceneFile", "Support", "SurfaceFile", "ToolPart", "Where"]
 _PACKAGED = Path(__file__).parents[1] / "geometries"
 FOLDER = _PACKAGED if _PACKAGED.is_dir() else Path(__file__).parents[2] / "geometries"
+OF_A_TOOL = ("friction", "mass", "force", "z", "place", "tilt")
+OF_A_FILE = ("scale", "flip", "rotate", "origin", "spacing")
+MOST_ROWS = 10_000
+LENGTHS = {  # of the shapes, mm
+    "length": "Along x",
+    "width": "Along y",
+    "radius": "Radius",
+    "fillet": "Radius of the edge that the sheet is drawn over",
+    "edge_radius": "Radius of the rounded edges",
+    "corner_radius": "Radius of the corners, seen from above",
+    "base_edge": "Edge of the base, before rounding",
+    "height": "Height from base to tip, before rounding",
+    "edge": "Edge of the triangle, before rounding",
+}
+
+
+def _mesh(value: Any) -> str:
+    word = value if isinstance(value, str) else ""
+    if "." in word:
+        raise InputError("is a file, which has its own outline: leave out shape")
+    if word not in ("fibre", "free"):
+        raise InputError(f"= {value!r}: {suggestion(word, ('fibre', 'free'))}")
+    return word
+
+
+def _law(value: Any) -> str:
+    if not isinstance(value, str):
+        raise InputError(f"= {value!r}: expected a preset or the path of a material file")
+    return value
+
+
+def _points(value: Any) -> tuple[tuple[float, ...], ...]:
+    good = isinstance(value, list) and all(
+        isinstance(point, list) and [type(c) in (int, float) for c in point] == [True, True]
+        for point in value
+    )
+    if not good or not np.isfinite(np.array(value, dtype=float)).all():
+        raise InputError("must be a list of [x, y] in mm")
+    return tuple((float(x), float(y)) for x, y in value)
+
+
+POINT = vector("x and y, mm", 2)
+PLACE = vector("x and y of its middle, mm", 2, "2 numbers, x and y in mm such as [10, 0],")
+TURN = "3 numbers, the angles in degrees about x, y and z such as [180, 0, 0],"
+ORIGIN = "3 numbers, the point of the file in mm such as [200, 100, 0],"
+_PAIR = {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2}
+KEYS = {  # type and default of the keys of a shape; all others are lengths that must be given
+    "points": (checked(_points, type="array", items=_PAIR, description="Corners x, y, mm"), ...),
+    "file": (path("Drawing, mesh or table of the outline"), ...),
+    "scale": (number("Length of one unit of the file", "mm"), 1.0),
+    "azimuth": (number("Direction of a corner, from x", "deg", signed=True), 0.0),
+}
+
+
+def _flag(text: str) -> Any:
+    return Annotated[StrictBool, Field(description=text)]
+
+
+def _word(text: str, *words: str) -> Any:
+    return Annotated[Literal[words], Field(description=text)]
+
+
+def _union(
+    base: type[Table], kinds: dict[str, tuple], most: float, made: Callable, *others: Any
+) -> Any:
+    """Type of a table with a shape: one model for each, and what is `made` of it."""
+    models = list(others)
+    for kind, (_, names) in kinds.items():
+        keys = {key: KEYS.get(key) or (number(LENGTHS[key], "mm", most=most), ...) for key in names}
+        model = create_model(kind, __base__=base, shape=(Literal[kind], ...), **keys)
+        models.append(Annotated[model, Tag(kind)])
+    which = tool_shape if kinds is SHAPES else shape
+    return Annotated[reduce(or_, models), Discriminator(which), AfterValidator(made)]
+
+
+def shape(table: Any) -> str | None:
+    """Which model a blank or a hole has."""
+    if not isinstance(table, Mapping):
+        return None
+    mesh = table.get("mesh")
+    own = isinstance(mesh, str) and "." in mesh and "shape" not in table
+    return "own mesh" if own else str(table.get("shape"))
+
+
+def tool_shape(table: Any) -> str | None:
+    """Which model a tool has."""
+    return "surface file" if isinstance(table, Mapping) and "file" in table else shape(table)
+
+
+# Blank
+
+
+class _Sheet(Table):
+    orientation: number("Angle of the warp to x", "deg", signed=True) = 0.0
+    size: number("Spacing of the fibre lines; well below the smallest fillet", "mm") = OPEN
+    mesh_scale: number("Length of one unit of the mesh file", "mm") = OPEN
+
+
+class _OwnMesh(_Sheet):
+    mesh: path("The user's own mesh, which has its own outline")
+
+
+class _Region(Table):
+    centre: POINT = (0.0, 0.0)
+
+
+def _region(table: Any) -> Region:
+    values = tuple(getattr(table, key) for key in REGION[table.shape][1])
+    region = Region(table.shape, values, table.centre, tuple(getattr(table, "holes", ())))
+    _ = region.polygon  # refuses what encloses no area
+    return region
+
+
+HOLES = {kind: keys for kind, keys in REGION.items() if kind != "file"}
+
+
+class _Blank(_Sheet, _Region):
+    mesh: checked(_mesh, enum=["fibre", "free"], description="Along the fibres, or free") = "fibre"
+    holes: list[_union(_Region, HOLES, LARGEST, _region)] = []  # noqa: RUF012
+
+
+def _blank(table: _Blank | _OwnMesh) -> dict[str, Any]:
+    """What it is in a `SceneFile`."""
+    own = isinstance(table, _OwnMesh)
+    if not own and table.mesh_scale is not None:
+        raise InputError("mesh_scale goes with a mesh from a file")
+    sheet = table.model_dump(include={"orientation", "size", "mesh"})
+    return sheet | {"blank": None if own else _region(table), "mesh_scale": table.mesh_scale or 1.0}
+
+
+# Tools
+
+
+class _Tool(Table):
+    role: _word("Its name if left out", "punch", "die", "holder") = OPEN
+    motion: _word("That of its role if left out", "driven", "fixed", "free") = OPEN
+    friction: number("Coulomb coefficient; the fabric's if left out", "1", zero=True) = OPEN
+    mass: number("Mass that rests on the sheet", "kg", zero=True) = 0.0
+    force: number("Force on the sheet beside the weight", "N", zero=True) = 0.0
+    z: number("Height; where it touches the sheet if left out", "mm", signed=True) = OPEN
+    place: PLACE = (0.0, 0.0)
+    tilt: _flag("Whether a free tool may tilt") = OPEN
+
+
+class _FromFile(_Tool):
+    file: path("The tool's surface")
+    scale: number("Length of one unit of the file", "mm") = 1.0
+    flip: _flag("Whether the inside of the surface is out") = False
+    rotate: vector("Turn about x, y and z, degrees", 3, TURN) = (0.0, 0.0, 0.0)
+    origin: vector("Point of the file that comes to the middle, mm", 3, ORIGIN) = (0.0, 0.0, 0.0)
+    spacing: number("Spacing of the grid of distances of a surface file", "mm") = OPEN
+
+
+def _part(table: _Tool) -> ToolPart:
+    if isinstance(table, _FromFile):
+        values = (getattr(table, key) for key in ("file", *OF_A_FILE))
+        geometry = SurfaceFile(*values)
+    else:
+        numbers = (getattr(table, key) for key in SHAPES[table.shape][1])
+        geometry = Form(table.shape, tuple(numbers))
+    motion = table.motion or MOTIONS[table.role]
+    values = {key: getattr(table, key) for key in OF_A_TOOL}
+    part = ToolPart("", table.role, motion, geometry, **values)
+    _ = part.shape  # refuses numbers that make no shape
+    if motion == "free" and not (part.mass or part.force):
+        raise InputError("a free tool needs a mass or a force")
+    if motion != "free" and table.model_fields_set & {"mass", "force", "tilt"}:
+        raise InputError("mass, force and tilt belong to a tool with motion = 'free'")
+    return part
+
+
+# Edges that are fixed or pulled
+
+
+OUTWARDS = {"+x": (1.0, 0.0), "-x": (-1.0, 0.0), "+y": (0.0, 1.0), "-y": (0.0, -1.0)}
+
+
+class _Place(Table):
+    side: _word("Side of the blank", *OUTWARDS) = OPEN
+    box: vector("x0, y0, x1, y1, mm", 4) = OPEN
+    centre: POINT = OPEN
+    radius: number("Radius", "mm") = OPEN
+
+
+LETTERS = {"type": "string", "pattern": "^[xyz]+$", "description": "Directions that are fixed"}
+
+
+class _Support(_Place):
+    fix: Annotated[Any, Field(json_schema_extra=LETTERS)] = OPEN
+    clamp: _flag("Whether the direction of the fibres is kept too") = False
+
+
+class _Gripper(_Place):
+    direction: vector("Of the pull, outwards if left out", 2) = OPEN
+    tension: number("Pull", "N", zero=True) = 0.0
+    stiffness: number("Decrease of the pull with the motion", "N/mm", zero=True) = 0.0
+
+
+def _where(table: _Place) -> Where:
+    keys = table.model_fields_set
+    given = keys & {"side", "box", "centre"}
+    if len(given) != 1 or ("radius" in keys and given != {"centre"}):
+        raise InputError("give one of side, box, or centre and radius")
+    if given == {"centre"} and "radius" not in keys:
+        raise InputError("radius missing")
+    return Where(**table.model_dump(include=given | (keys & {"radius"})))
+
+
+def _support(table: _Support) -> Support:
+    fix = "xyz" if table.clamp and "fix" not in table.model_fields_set else table.fix
+    if not isinstance(fix, str) or not fix or set(fix) - set("xyz"):
+        raise InputError(f"fix = {fix!r}: expected some of the letters xyz")
+    return Support(_where(table), fix, table.clamp)
+
+
+def _gripper(table: _Gripper) -> Gripper:
+    where = _where(table)
+    direction = table.direction or OUTWARDS.get(where.side)
+    if direction is None:
+        raise InputError("direction = None: expected 2 numbers")
+    if not any(direction):
+        raise InputError("direction must not be zero")
+    if not (table.tension or table.stiffness):
+        raise InputError("needs a tension or a stiffness")
+    length = float(np.linalg.norm(direction))
+    if abs(length - 1) > 1e-12:  # else it is the same when it is read again
+        direction = (direction[0] / length, direction[1] / length)
+    return Gripper(where, direction, table.tension, table.stiffness)
+
+
+# The whole
+
+
+class _Area(Table):
+    centre: POINT
+    radius: number("Radius", "mm")
+    unit: Literal["mm"] = "mm"
+    standing: Literal[schema.STANDINGS] = OPEN
+
+    @model_validator(mode="before")
+    @classmethod
+    def _standing(cls, table: Any) -> Any:
+        if isinstance(table, Mapping) and table.keys() & {"unit", "standing"}:
+            schema.check_standing({"standing": "assumed", **table}, "mm", *cls.model_fields)
+        return table
+
+
+class _Increments(Table):
+    largest: number("Largest increment of the travel", "mm") = 5.0
+    rows: number("Distance of the rows of history.csv", "mm") = 5.0
+
+
+class _Outputs(Table):
+    pictures: _flag("Whether pictures are drawn") = True
+    increments: _flag("Whether each row has its .vtu file") = True
+
+
+_OWN_MESH = Annotated[_OwnMesh, Tag("own mesh")]
+_FROM_FILE = Annotated[_FromFile, Tag("surface file")]
+FAR_OFF = FAR / 4  # mm; a straight tool ends at FAR
+
+
+class Scene(Table):
+    """A forming scene: lengths in mm, masses in kg, forces in N, angles in degrees.
+
+    Paths are relative to the file.
+    """
+
+    name: StrictStr = OPEN
+    travel: number("Travel of the driven tools from first touch", "mm")
+    law: checked(_law, type="string", description="Preset, or path of a material file") = "locking"
+    gravity: _flag("Whether the sheet's own weight acts") = False
+    symmetry: _word("Whether mirror planes are used", "auto", "none") = "auto"
+    blank: _union(_Blank, REGION, LARGEST, _blank, _OWN_MESH)
+    tools: dict[str, _union(_Tool, SHAPES, FAR_OFF, _part, _FROM_FILE)]
+    supports: list[Annotated[_Support, AfterValidator(_support)]] = []  # noqa: RUF012
+    grippers: list[Annotated[_Gripper, AfterValidator(_gripper)]] = []  # noqa: RUF012
+    areas: dict[str, _Area] = {}  # noqa: RUF012
+    increments: _Increments = _Increments()
+    outputs: _Outputs = _Outputs()
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        for key, value in self.increments:
+            if self.travel > MOST_ROWS * value:
+                least = f"1/{MOST_ROWS} of the travel, {self.travel / MOST_ROWS:g} mm"
+                raise InputError(f"increments.{key} must be at least {least}, got {value:g}")
+        if not any(tool.motion == "driven" for tool in self.tools.values()):
+            raise InputError("no tool is driven: one of [tools] needs role = 'punch'")
+        return self
+
+
+def _scene(table: dict[str, Any], folder: Path, stem: str) -> SceneFile:
+    """Return the scene that the table of a file describes; `stem` is its name where it has none."""
+    check_keys(table, Scene.model_fields)
+    for key in ("blank", "tools"):
+        if not isinstance(table.get(key), dict):
+            raise InputError(f"table [{key}] missing")
+    tools = {name: _with_role(name, tool) for name, tool in table["tools"].items()}
+    scene = schema.validated(Scene, {**table, "tools": tools}, folder)
+    return SceneFile(
+        name=stem if scene.name is None else scene.name,
+        tools=tuple(
+            replace(part, name="blank holder" if name == "holder" else name)
+            for name, part in scene.tools.items()
+        ),
+        law=str(folder / scene.law) if scene.law.endswith(".toml") else scene.law,
+        supports=tuple(scene.supports),
+        grippers=tuple(scene.grippers),
+        areas={name: (area.centre, area.radius) for name, area in scene.areas.items()},
+        increment=scene.increments.largest,
+        rows=scene.increments.rows,
+        outputs=scene.outputs.model_dump(),
+        standings=schema.standings(table),
+        **scene.model_dump(include={"travel", "gravity", "symmetry"}),
+        **scene.blank,
+    )
+
+
+def _with_role(name: str, tool: Any) -> dict[str, Any]:
+    """Give a tool the role that its name says."""
+    if not isinstance(tool, dict):
+        raise InputError(f"tools.{name} = {tool!r}: expected a table [tools.{name}]")
+    if "role" in tool:
+        return tool
+    near = difflib.get_close_matches(name, MOTIONS, n=1)
+    if not near:
+        known = ", ".join(MOTIONS)
+        raise InputError(f"[tools.{name}] role missing: expected one of {known}")
+    if near[0] != name:
+        words = f"[tools.{name}] did you mean [tools.{near[0]}]?"
+        raise InputError(f"{words} Another name needs role = 'punch', 'die' or 'holder'")
+    return tool | {"role": name}
+
+
+# Reading and writing
 
 
 def built_in() -> list[str]:
@@ -44,93 +387,57 @@ def built_in() -> list[str]:
 def load(name: str) -> SceneFile:
     """Read a built-in scene by name, or a TOML file.
 
-    Raises
-    ------
-    InputError
-        For an unknown name, an unreadable file, unknown keys and bad values: one line that names
-        file, table and key.
+    InputError in one line that names file, table and key.
     """
-    from .scene_schema import read_scene  # pydantic
-
     if name in built_in():
-        path = FOLDER / f"{name}.toml"
+        place = FOLDER / f"{name}.toml"
     elif name.endswith(".toml"):
-        path = Path(name)
+        place = Path(name)
     else:
         raise InputError(f"unknown scene '{name}': {suggestion(name, built_in())}, or a .toml file")
-    file = read_toml(path, lambda table: read_scene(table, path.parent, path.stem))
-    return file if name in built_in() else replace(file, source=str(path.resolve()))
+    file = read_toml(place, lambda table: _scene(table, place.parent, place.stem))
+    return file if name in built_in() else replace(file, source=str(place.resolve()))
 
 
 def read_text(written: Mapping[str, str]) -> SceneFile:
-    """Return the scene that `scene_toml` has written as `toml`, with its `source`.
-
-    Raises
-    ------
-    InputError
-    """
-    from .scene_schema import read_scene  # pydantic
-
-    file = read_scene(tomllib.loads(written["toml"]), Path(), "scene")
+    """Return the scene that `scene_toml` has written as `toml`, with its `source`."""
+    file = _scene(tomllib.loads(written["toml"]), Path(), "scene")
     return replace(file, source=written["source"])
 
 
 def json_schema() -> dict[str, Any]:
     """Return the JSON schema of a scene file: keys, units, limits and defaults, for editors."""
-    from .scene_schema import Scene
-
-    return {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        **Scene.model_json_schema(),
-    }
+    dialect = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
+    return dialect | Scene.model_json_schema()
 
 
 def scene_toml(file: SceneFile) -> str:
-    """Return a scene as the text of a TOML file with every default; paths are absolute.
-
-    Raises
-    ------
-    InputError
-        For a tool with a shape of the user's own.
-    """
-    blank: dict[str, Any] = _region(file.blank) if file.blank else {}
+    """Return a scene as the text of a TOML file with every default; paths are absolute."""
+    blank = _region_table(file.blank) if file.blank else {"mesh_scale": file.mesh_scale}
     blank |= {"orientation": file.orientation, "size": file.size, "mesh": file.mesh}
-    if file.blank is None:
-        blank["mesh_scale"] = file.mesh_scale
-    elif file.blank.holes:
-        blank["holes"] = [_region(hole) for hole in file.blank.holes]
-    tools = {"holder" if t.name == "blank holder" else t.name: _tool(t) for t in file.tools}
-    law = Path(file.law) if file.law.endswith(".toml") else file.law
-    table = {
-        "name": file.name,
-        "travel": file.travel,
-        "law": law,
-        "gravity": file.gravity,
-        "symmetry": file.symmetry,
+    tools = {"holder" if t.name == "blank holder" else t.name: _tool_table(t) for t in file.tools}
+    settings = ("name", "travel", "law", "gravity", "symmetry")
+    table = {key: getattr(file, key) for key in settings} | {
         "blank": blank,
         "tools": tools,
-        "supports": [_place(s.where) | {"fix": s.fix, "clamp": s.clamp} for s in file.supports],
-        "grippers": [
-            _place(g.where)
-            | {"direction": g.direction, "tension": g.tension, "stiffness": g.stiffness}
-            for g in file.grippers
-        ],
-        "areas": {
-            name: {"centre": centre, "radius": radius}
-            for name, (centre, radius) in file.areas.items()
-        },
+        "supports": [_edge_table(support) for support in file.supports],
+        "grippers": [_edge_table(gripper) for gripper in file.grippers],
+        "areas": {name: {"centre": c, "radius": r} for name, (c, r) in file.areas.items()},
         "increments": {"largest": file.increment, "rows": file.rows},
         "outputs": dict(file.outputs),
     }
+    if file.law.endswith(".toml"):
+        table["law"] = Path(file.law)
     return toml_text(_plain(table, "", file.standings))
 
 
-def _region(region: Region) -> dict[str, Any]:
+def _region_table(region: Region) -> dict[str, Any]:
     keys = dict(zip(REGION[region.shape][1], region.parameters, strict=True))
-    return {"shape": region.shape, **keys, "centre": region.centre}
+    holes = {"holes": [_region_table(hole) for hole in region.holes]} if region.holes else {}
+    return {"shape": region.shape, **keys, "centre": region.centre, **holes}
 
 
-def _tool(part: ToolPart) -> dict[str, Any]:
+def _tool_table(part: ToolPart) -> dict[str, Any]:
     geometry = part.geometry
     if isinstance(geometry, Form):
         keys = dict(zip(SHAPES[geometry.shape][1], geometry.numbers, strict=True))
@@ -144,10 +451,11 @@ def _tool(part: ToolPart) -> dict[str, Any]:
     return table | {key: getattr(part, key) for key in keys}
 
 
-def _place(where: Where) -> dict[str, Any]:
+def _edge_table(edge: Support | Gripper) -> dict[str, Any]:
+    where, keys = edge.where, {k: v for k, v in vars(edge).items() if k != "where"}
     if where.side or where.box:
-        return {"side": where.side or None, "box": where.box}
-    return {"centre": where.centre, "radius": where.radius}
+        return {"side": where.side or None, "box": where.box} | keys
+    return {"centre": where.centre, "radius": where.radius} | keys
 
 
 def _plain(value: Any, name: str, standings: Mapping[str, str]) -> Any:

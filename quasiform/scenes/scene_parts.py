@@ -12,10 +12,8 @@ import numpy as np
 import shapely
 
 from ..net import outline as outlines
-from ..tools.part import SHAPES, Form, ToolPart
-from ..tools.surface_file import SurfaceFile
+from ..tools.part import ToolPart
 
-__all__ = ["SHAPES", "Form", "SurfaceFile", "ToolPart"]
 Point = tuple[float, float]
 REGION: dict[str, tuple[Callable[..., shapely.Polygon], tuple[str, ...]]] = {
     "rectangle": (outlines.rectangle, ("length", "width")),
@@ -24,28 +22,15 @@ REGION: dict[str, tuple[Callable[..., shapely.Polygon], tuple[str, ...]]] = {
     "file": (outlines.read_outline, ("file", "scale")),
 }
 MOTIONS = {"punch": "driven", "die": "fixed", "holder": "free"}
-OF_A_TOOL = ("friction", "mass", "force", "z", "place", "tilt")
-OF_A_FILE = ("scale", "flip", "rotate", "origin", "spacing")
 
 
 @dataclass(frozen=True)
 class Region:
-    """An area of the flat sheet with its holes.
+    """An area of the flat sheet with its holes."""
 
-    Parameters
-    ----------
-    shape : str
-        A key of `REGION`.
-    parameters : tuple
-        What it is built from, in the order of `REGION`: numbers in mm, corners, a path.
-    centre : (float, float)
-        By how much it is moved, mm.
-    holes : tuple of Region
-    """
-
-    shape: str
-    parameters: tuple[Any, ...]
-    centre: Point = (0.0, 0.0)
+    shape: str  # a key of REGION
+    parameters: tuple[Any, ...]  # in the order of REGION: numbers in mm, corners, a path
+    centre: Point = (0.0, 0.0)  # by how much it is moved, mm
     holes: tuple[Region, ...] = ()
 
     @staticmethod
@@ -58,13 +43,7 @@ class Region:
 
     @cached_property
     def polygon(self) -> shapely.Polygon:
-        """The area, mm.
-
-        Raises
-        ------
-        InputError
-            If it encloses no area, crosses itself, or a hole does not lie inside.
-        """
+        """The area, mm; InputError if it has none, crosses itself, or a hole is not inside."""
         build, _ = REGION[self.shape]
         moved = shapely.affinity.translate(build(*self.parameters), *self.centre)
         return outlines.with_holes(moved, [hole.polygon for hole in self.holes])
@@ -112,60 +91,29 @@ class Gripper:
 
 @dataclass(frozen=True)
 class SceneFile:
-    """A forming scene as it is written down.
-
-    Parameters
-    ----------
-    name : str
-    blank : Region or None
-        The flat sheet; None where the user's own mesh brings its outline.
-    travel : float
-        Of the driven tools, from first touch, mm.
-    tools : tuple of ToolPart
-    orientation : float
-        Angle of the warp to x, degrees.
-    size : float or None
-        Spacing of the fibre lines, mm.
-    mesh : "fibre", "free" or a path
-        Cut from the fibre lines; a free triangulation; the user's own mesh.
-    law : str
-        A preset, or the path of a material file.
-    gravity : bool
-        Whether the sheet's own weight acts.
-    supports, grippers : tuples of Support and Gripper
-    areas : dict of name to (centre (2,), radius)
-        Discs in blank coordinates, mm.
-    symmetry : "auto" or "none"
-    increment, rows : float
-        Largest increment, and the distance of history rows, mm.
-    outputs : dict
-        `pictures` and `increments`: whether these files are written.
-    standings : dict of dotted name to standing
-    source : str
-        File that it was read from, from the root; empty for a built-in one.
-    """
+    """A forming scene as it is written down."""
 
     name: str
-    blank: Region | None
-    travel: float
+    blank: Region | None  # the flat sheet; None where the user's own mesh brings its outline
+    travel: float  # of the driven tools, from first touch, mm
     tools: tuple[ToolPart, ...]
-    orientation: float = 0.0
-    size: float | None = None
-    mesh: str | Path = "fibre"
-    mesh_scale: float = 1.0
-    law: str = "locking"
-    gravity: bool = False
+    orientation: float = 0.0  # angle of the warp to x, degrees
+    size: float | None = None  # spacing of the fibre lines, mm
+    mesh: str | Path = "fibre"  # cut from the fibre lines, or "free", or the user's own
+    mesh_scale: float = 1.0  # mm
+    law: str = "locking"  # a preset, or the path of a material file
+    gravity: bool = False  # whether the sheet's own weight acts
     supports: tuple[Support, ...] = ()
     grippers: tuple[Gripper, ...] = ()
-    areas: Mapping[str, tuple[Point, float]] = field(default_factory=dict, hash=False)
-    symmetry: str = "auto"
-    increment: float = 5.0
-    rows: float = 5.0
+    areas: Mapping[str, tuple[Point, float]] = field(default_factory=dict, hash=False)  # discs, mm
+    symmetry: str = "auto"  # or "none"
+    increment: float = 5.0  # largest increment of the travel, mm
+    rows: float = 5.0  # distance of the rows of the history, mm
     outputs: Mapping[str, bool] = field(
         default_factory=lambda: {"pictures": True, "increments": True}, hash=False
     )
-    standings: Mapping[str, str] = field(default_factory=dict, hash=False)
-    source: str = field(default="", compare=False)
+    standings: Mapping[str, str] = field(default_factory=dict, hash=False)  # by dotted name
+    source: str = field(default="", compare=False)  # absolute path; empty for a built-in one
 
     def __post_init__(self) -> None:
         for name in ("tools", "supports", "grippers"):
@@ -173,12 +121,7 @@ class SceneFile:
 
     @property
     def outline(self) -> shapely.Polygon:
-        """The flat blank with its holes, mm; empty where the mesh is the user's own.
-
-        Raises
-        ------
-        InputError
-        """
+        """The flat blank with its holes, mm; empty where the mesh is the user's own."""
         return self.blank.polygon if self.blank else shapely.Polygon()
 
     def files(self) -> list[Path]:

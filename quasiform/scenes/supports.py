@@ -62,6 +62,5 @@ def keep_middle(model: Model, file: SceneFile) -> None:
     if not blank.mirror:
         far = np.linalg.norm(blank.nodes - blank.warp * 4 * model.size, axis=1).argmin()
         fixed[sheet.dofs[far, int(abs(blank.warp[1]) < abs(blank.warp[0]))]] = True
-    model.description.append(
-        ("middle of the sheet fixed in the plane", "no friction keeps it in place")
-    )
+    why = "no friction keeps it in place"
+    model.description.append(("middle of the sheet fixed in the plane", why))

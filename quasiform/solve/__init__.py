@@ -12,7 +12,7 @@ from typing import Any
 from .increments import Progress, solve
 from .journal import Journal
 from .levels import refine
-from .spread import spread
+from .scatter import spread
 
 __all__ = ["Journal", "Progress", "refine", "solve", "spread"]
 __wrapped__ = solve  # its signature, for `inspect.signature(quasiform.solve)`

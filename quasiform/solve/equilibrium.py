@@ -5,72 +5,36 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from ..energy.term import Term
 from ..model import Model
 from ..potential import Memory, Potential
-from .linear import SingularMatrixError
+from ..unknowns import FloatArray
+from .linear import NotConvergedError
 from .tangent import Tangent
 
-FloatArray = np.ndarray
 LEAST_FORCE = 1e-6  # N: what a driving force counts for where a tool has not touched yet
-LOOSER = (
-    30.0  # tolerance on the way where lagged values have to settle, relative to that at the end
-)
-
-
-class NotConvergedError(ArithmeticError):
-    """A solve that did not reach its tolerance; carries the state it had come to."""
-
-    def __init__(self, reason: str, x: FloatArray, residual: float) -> None:
-        super().__init__(reason)
-        self.x, self.residual = x, residual
+LOOSER = 30.0  # tolerance on the way where lagged values have to settle, relative to the end's
 
 
 @dataclass
 class Equilibrium:
-    """The equations of a model.
-
-    Parameters
-    ----------
-    model : Model
-    linear : str
-        Name of the linear solver.
-    tolerance : float
-        Sum of the nodal force residuals relative to the driving force, at the end of the travel;
-        on the way `LOOSER` times that.
-    convex : "on demand", "always" or "never"
-        When the convex tangent takes the place of the exact one.
-    max_iterations : int
-        Newton iterations of one solve.
-    travel : float
-        Where the prescribed unknowns are.
-    carried : float
-        Residual that lagged values may leave to the next increment where they do not settle.
-    carried_on : int
-        How often they did.
-    relaxed : int
-        Iterations of dynamic relaxation so far.
-    foreseen : array, optional
-        Stress that the last prediction foresaw, for the next solve.
-    """
+    """The equations of a model, with its tangent and the present states of its terms."""
 
     model: Model
     linear: str = "auto"
-    tolerance: float = 1e-4
-    convex: str = "on demand"
-    max_iterations: int = 400
-    travel: float = 0.0
-    carried: float = 2e-2
-    carried_on: int = 0
-    relaxed: int = 0
-    free: np.ndarray = field(init=False)
+    tolerance: float = 1e-4  # of the residual at the end of the travel
+    convex: str = "on demand"  # or "always", "never": when that takes the exact one's place
+    max_iterations: int = 400  # of Newton's method in one solve
+    travel: float = 0.0  # where the prescribed unknowns are
+    left_over: float = 2e-2  # residual that lagged values may leave to the next increment
+    continued: int = 0  # how often they did
+    relaxed: int = 0  # iterations of dynamic relaxation so far
     memory: Memory = field(init=False)
-    potential: Potential = field(init=False)
-    tangent: Tangent = field(init=False)
-    foreseen: FloatArray | None = field(init=False, default=None)
+    foreseen: FloatArray | None = field(init=False, default=None)  # stress, by the last prediction
 
     def __post_init__(self) -> None:
         model = self.model
@@ -82,11 +46,8 @@ class Equilibrium:
         self.mixed = [(i, name) for i, term in enumerate(model.terms) for name in term.mixed]
         self.mesh_size = min(sheet.blank.size for sheet in model.sheets)
 
-    # The states of the terms
-
     @property
     def remembers(self) -> bool:
-        """Whether a term has memory."""
         return any(state is not None for state in self.memory)
 
     def take(self, memory: Memory) -> None:
@@ -94,19 +55,10 @@ class Equilibrium:
         self.tangent.follow(memory)
         self.memory = memory
 
-    def reset(self) -> None:
-        """Forget everything: the terms are at the start of a run."""
-        self.take(self.potential.initial(self.model.x0))
-
     def refresh(self, x: FloatArray) -> None:
         """Take lagged values from x."""
         if self.remembers:
             self.take(self.potential.refresh(x, self.memory))
-
-    def back_to(self, memory: Memory, travel: float) -> None:
-        """Undo what a failed increment has lagged."""
-        self.travel = travel
-        self.take(memory)
 
     def accept(self, x: FloatArray, memory: Memory) -> None:
         """Take over the states committed at x; the tangent is another one from there on.
@@ -134,15 +86,13 @@ class Equilibrium:
         """Add a term of diagonal Hessian to the potential for the time being."""
         own, self.memory = self.potential, (*self.memory, None)
         self.potential = Potential([*own.terms, term], self.free, self.memory)
-        self.tangent.of(self.potential)
+        self.tangent.forget(self.potential)
         try:
             yield
         finally:
             self.potential, self.memory = own, self.memory[:-1]
             own.follow(self.memory)
-            self.tangent.of(own)
-
-    # Forces
+            self.tangent.forget(own)
 
     def gradient(self, x: FloatArray) -> FloatArray:
         """(n_dofs,) derivative of the potential with the present states, N."""
@@ -154,9 +104,7 @@ class Equilibrium:
 
     def energy_at(self, x: FloatArray, trial: FloatArray) -> float:
         """Energy of a trial state; infinite where a triangle has been turned over since x."""
-        if self.model.turned_over(x, trial):
-            return np.inf
-        return self.energy(trial)
+        return np.inf if self.model.turned_over(x, trial) else self.energy(trial)
 
     def force(self, g: FloatArray) -> float:
         """Derivative of the potential by the travel, N (of the modelled share)."""
@@ -180,7 +128,6 @@ class Equilibrium:
 
     @property
     def at_end(self) -> bool:
-        """Whether the travel is at its end."""
         return self.travel >= self.model.travel * (1 - 1e-12)
 
     @property
@@ -198,48 +145,13 @@ class Equilibrium:
         """(n_dofs,) motion of the prescribed unknowns from x to `travel`, mm."""
         return np.where(self.model.fixed, self.model.prescribed(travel)[0] - x, 0.0)
 
-    # The tangent, whose failures name the state
-
-    def factor(
-        self, x: FloatArray, convex: float, **given: FloatArray | None
-    ) -> tuple[int, FloatArray]:
-        """Factorise a tangent at x; see `Tangent.factor`.
-
-        Raises
-        ------
-        NotConvergedError
-            If it is singular.
-        """
-        try:
-            return self.tangent.factor(x, self.memory, convex, **given)
-        except SingularMatrixError as error:
-            raise NotConvergedError(f"the tangent is singular: {error}", x, np.inf) from error
-
-    def factor_definite(
-        self, x: FloatArray, **given: FloatArray | bool | None
-    ) -> tuple[bool, FloatArray]:
-        """Factorise a positive definite tangent at x; see `Tangent.factor_definite`.
-
-        Raises
-        ------
-        NotConvergedError
-            If there is none.
-        """
-        try:
-            return self.tangent.factor_definite(x, self.memory, **given)
-        except SingularMatrixError as error:
-            raise NotConvergedError(f"the tangent is singular: {error}", x, np.inf) from error
-
-    def direction(self, x: FloatArray, force: FloatArray) -> FloatArray:
-        """(n_free,) solution of the last tangent for -force (n_free,)."""
-        try:
-            return -self.tangent.solve(force)
-        except SingularMatrixError as error:
-            raise NotConvergedError(str(error), x, np.inf) from error
+    def factor(self, x: FloatArray, convex: float, **given: Any) -> tuple[int, FloatArray]:
+        """Factorise a tangent at x; see `Tangent.factor`."""
+        return self.tangent.factor(x, self.memory, convex, **given)
 
     def certify(self, x: FloatArray) -> int | None:
-        """Negative pivots of the exact tangent at x; None if it is singular or unknown."""
+        """Negative pivots of the exact tangent at x; None if it is singular."""
         try:
-            return self.factor(x, 0.0)[0] if self.tangent.inertia else None
+            return self.factor(x, 0.0)[0]
         except NotConvergedError:  # a stopped run may have no tangent
             return None

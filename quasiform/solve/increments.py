@@ -17,8 +17,9 @@ import numpy as np
 from ..checks import InputError
 from ..model import Model
 from ..result.run import Result
-from .equilibrium import Equilibrium, NotConvergedError
+from .equilibrium import Equilibrium
 from .journal import Journal
+from .linear import NotConvergedError
 from .run import Run, Settings, TooCoarseError, dynamic_relaxation, proximal
 
 SHORTEST = 1 / 64  # of the largest increment
@@ -29,42 +30,22 @@ CHANGED = (
     "error of the mesh not estimated",
     "the model was changed by hand, or has no recipe (Model.including makes a change part of it)",
 )
-ESTIMATING = "interrupted while the error of the mesh was estimated"
+
+Callback = Callable[["Progress"], bool | str | None]
 
 
 @dataclass(frozen=True)
 class Progress:
-    """What a callback is called with after each increment.
+    """What a callback is called with after each increment."""
 
-    Parameters
-    ----------
-    travel, goal : float
-        Where the run is and where it ends, mm (or the load factor).
-    residual : float
-        Sum of the nodal residuals relative to the driving force.
-    force : float
-        Driving force of the whole, N.
-    contacts : int
-        Points of the sheet that touch a tool.
-    linear_solves : float
-        So far; a count.
-    elapsed : float
-        Time so far, s.
-    measures : dict of str to float
-        What the history holds by increment, such as `shear_angle_max_deg`.
-    """
-
-    travel: float
-    goal: float
-    residual: float
-    force: float
-    contacts: int
-    linear_solves: int
-    elapsed: float
-    measures: dict[str, float] = field(default_factory=dict)
-
-
-Callback = Callable[[Progress], bool | str | None]
+    travel: float  # where the run is, mm (or the load factor)
+    goal: float  # where it ends
+    residual: float  # sum of the nodal residuals relative to the driving force
+    force: float  # driving force of the whole, N
+    contacts: int  # points of the sheet that touch a tool
+    linear_solves: int  # so far
+    elapsed: float  # s
+    measures: dict[str, float] = field(default_factory=dict)  # columns of the history by name
 
 
 def report(callback: Callback | None, stage: str) -> None:
@@ -142,17 +123,17 @@ def solve(
         if model.changed:
             result.notes.append(CHANGED)
         else:
-            _estimated(result, settings, callback)
+            judge(result, settings, callback, 2 * model.size, 4 * model.size)
     if journal:
         journal.close(result)
     return result
 
 
-def _estimated(result: Result, settings: Settings, callback: Callback | None) -> None:
-    """Judge a result by the same model on coarser meshes."""
+def judge(result: Result, settings: Settings, callback: Callback | None, *sizes: float) -> None:
+    """Judge a result by the same model on coarser meshes, as far as its tools allow."""
     model, coarser = result.model, list[Result]()
     try:
-        for size in (2 * model.size, 4 * model.size):
+        for size in sizes:
             if size > model.coarsest and coarser:
                 break
             report(callback, f"error of the mesh: the same at {size:g} mm")
@@ -164,7 +145,7 @@ def _estimated(result: Result, settings: Settings, callback: Callback | None) ->
     except InputError:  # too coarse to be built: the result stands with what there is
         pass
     except KeyboardInterrupt:
-        result.reason = ESTIMATING
+        result.reason = "interrupted while the error of the mesh was estimated"
     result.judge(coarser)
 
 
@@ -185,28 +166,31 @@ def follow(
         raise InputError(f"increment must be at least {least:g}, got {settings.increment:g}")
     run = Run(Equilibrium(model, settings.linear, settings.tolerance, settings.convex), settings)
     steps = _Steps(run)
-    if journal and journal.held:
+    if journal and journal.recorded:
         steps.next, elapsed = journal.restore(run)
         clock -= elapsed
     else:
         _begin(run)
-    reason = run.account.ended or _record(journal, run, steps.next, clock)
+
+    def record() -> str:
+        return journal.record(run, steps.next, time.perf_counter() - clock) if journal else ""
+
+    reason = run.account.ended or record()
     while not reason and run.travel < model.travel * (1 - 1e-12):
         s = run.travel
         try:
             reason = steps.take()
             if run.travel == s:
                 continue
-            failed = _record(journal, run, steps.next, clock)
+            failed = record()
             reason = reason or failed
             answer = callback(_progress(run, time.perf_counter() - clock)) if callback else None
         except KeyboardInterrupt:
             if not partial:
                 raise
             run.back()
-            where = f"at {run.travel:.4g}"
-            if run.travel == s:
-                where = f"between {s:.4g} and {steps.target:.4g}"
+            between = f"between {s:.4g} and {steps.target:.4g}"
+            where = between if run.travel == s else f"at {run.travel:.4g}"
             reason = f"interrupted {where} of {model.travel:.4g}"
             break
         if answer and not reason and run.travel < model.travel * (1 - 1e-12):
@@ -227,16 +211,6 @@ def _begin(run: Run) -> None:
         run.back()
     run.open(x)
     run.keep()
-
-
-def _record(journal: Journal | None, run: Run, step: float, clock: float) -> str:
-    """Write the run into its folder; the reason why that cannot be done."""
-    if journal:
-        try:
-            journal.record(run, step, time.perf_counter() - clock)
-        except OSError as error:
-            return f"cannot write to {journal.folder}: {error.strerror or error}"
-    return ""
 
 
 class _Steps:
@@ -283,13 +257,8 @@ class _Steps:
 def _progress(run: Run, elapsed: float) -> Progress:
     """How far a run has come."""
     equations, model = run.equations, run.model
-    return Progress(
-        run.travel,
-        model.travel,
-        equations.residual(equations.gradient(run.x)),
-        run.account.entry.force / model.share,
-        sum(int((c.penetration(run.x) > 0).sum()) for c in model.contacts),
-        equations.tangent.factorisations,
-        elapsed,
-        {name: measure(run.x) for name, measure in model.measures.items()},
-    )
+    residual, force = equations.residual(equations.gradient(run.x)), run.account.force / model.share
+    contacts = sum(int((c.penetration(run.x) > 0).sum()) for c in model.contacts)
+    so_far = equations.tangent.factorisations, elapsed
+    measures = {name: measure(run.x) for name, measure in model.measures.items()}
+    return Progress(run.travel, model.travel, residual, force, contacts, *so_far, measures)

@@ -13,8 +13,9 @@ from __future__ import annotations
 
 import io
 import json
-from contextlib import suppress
-from dataclasses import asdict, fields
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from shutil import rmtree
 from typing import Any
@@ -24,16 +25,13 @@ import numpy as np
 
 from ..checks import InputError
 from ..model import Model
-from ..potential import Memory
 from ..recipe import Recipe
 from ..result.files import FILES, RESUME, added, check_folder
 from ..result.run import Result, State
-from .run import Account, Entry, Run
+from .run import Account, Run
 
-FloatArray = np.ndarray
 FORMAT = 2
-COUNTED = ("carried_on", "relaxed", "travel")  # of the equations
-WORKED = ("factorisations", "seconds", "convex_taken")  # of the tangent
+UNREADABLE = OSError, LookupError, TypeError, ValueError, AttributeError, EOFError, BadZipFile
 
 
 class Journal:
@@ -42,19 +40,16 @@ class Journal:
     Parameters
     ----------
     out : path
-        Folder of the run; made if missing.
+        Made if missing.
     options : dict, optional
         How the run was asked for, in numbers and text, for whoever continues it.
-    force : bool
-        Whether the folder may hold a result already.
-    resume : bool
-        Continue the run that it holds.
+    force, resume : bool
+        The folder may hold a result already; continue the run that it holds.
 
     Raises
     ------
     InputError
-        If the folder cannot be written, holds a result already, or, with `resume`, holds no run
-        that can be continued.
+        If the folder cannot be written, holds a result already, or no run to be continued.
     """
 
     def __init__(
@@ -66,7 +61,7 @@ class Journal:
         resume: bool = False,
     ) -> None:
         self.folder, self.options = Path(out), options or {}
-        self.held: dict[str, Any] = {}
+        self.recorded: dict[str, Any] = {}
         self.goal = ""  # what follows the travel, as a text
         self._rows = 0
         if resume:
@@ -84,171 +79,133 @@ class Journal:
                 status = json.loads((self.folder / "summary.json").read_bytes())["status"]
             done = ": it is completed" if status == "completed" else f" ({RESUME})"
             raise InputError(f"{self.folder} holds no run that can be continued{done}")
+        with self._reading(), path.open("rb") as stream, np.load(stream) as file:
+            arrays = {name: file[name] for name in file.files}
+            self.recorded = {**json.loads(str(arrays.pop("head"))), "arrays": arrays}
+            known = self.recorded.get("format", 1)
+            if known != FORMAT:
+                raise InputError(
+                    f"{path}: a record of format {known}, this version continues {FORMAT}: "
+                    "start the run again"
+                )
+            self.options = self.recorded["options"]
+
+    @contextmanager
+    def _reading(self) -> Iterator[None]:
+        """Refuse what is no record of a run, or a damaged one."""
         try:
-            with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-                arrays = {name: file[name] for name in file.files}
-            held = {**json.loads(str(arrays.pop("head"))), "arrays": arrays}
-            known = held.get("format", 1)
-            if known == FORMAT:
-                self.options = held["options"]
-        except (OSError, ValueError, KeyError, TypeError, BadZipFile, EOFError) as error:
-            raise InputError(f"{path}: not a record of a run ({error})") from error
-        if known != FORMAT:
-            raise InputError(
-                f"{path}: a record of format {known}, this version continues {FORMAT}: "
-                "start the run again"
-            )
-        self.held = held
+            yield
+        except InputError:
+            raise
+        except UNREADABLE as error:
+            raise InputError(f"{self.folder / RESUME}: not a record of a run ({error})") from error
 
     def model(self) -> Model:
         """Build the model of the recorded run from its recipe.
 
-        Raises
-        ------
-        InputError
-            If the record holds no recipe, or its parts are not there any more.
+        Raises InputError if the record holds none, or its parts are not there any more.
         """
-        if not self.held["recipe"]:
+        if not self.recorded["recipe"]:
             raise InputError(
                 f"{self.folder}: the run there has no recipe; continue it with "
                 "solve(model, out=..., resume=True)"
             )
-        try:
-            return Recipe.read(self.held["recipe"]).build()
-        except (TypeError, OSError) as error:
-            raise InputError(f"{self.folder}: not a record of a run ({error})") from error
+        with self._reading():
+            return Recipe.read(self.recorded["recipe"]).build()
 
-    def record(self, run: Run, step: float, elapsed: float) -> None:
-        """Write the run as it stands.
+    def record(self, run: Run, step: float, elapsed: float) -> str:
+        """Write the run as it stands after an increment; `step` is the size of the next, mm.
 
-        Parameters
-        ----------
-        run : Run
-            After a converged increment.
-        step : float
-            Size of the next increment, mm.
-        elapsed : float
-            Time so far, s.
-
-        Raises
-        ------
-        OSError
-            If the folder is gone or cannot be written; what was there stays.
+        The reason why the folder cannot be written, if so; what was there stays.
         """
-        with added(self.folder, instead=() if self._rows else FILES) as staging:
-            (staging / RESUME).write_bytes(self._checkpoint(run, step, elapsed))
-            if len(run.states) > self._rows:
-                how = "quasiform resume" if _recipe(run) else "solve(..., resume=True)"
-                reason = (
-                    f"killed or still running after {run.travel:.4g} of "
-                    f"{run.model.travel:.4g}{self.goal}: {how} continues it"
-                )
-                run.result(reason, elapsed).write(staging, since=self._rows)
-                self._rows = len(run.states)
+        try:
+            with added(self.folder, instead=() if self._rows else FILES) as staging:
+                (staging / RESUME).write_bytes(self._checkpoint(run, step, elapsed))
+                if len(run.states) > self._rows:
+                    how = "quasiform resume" if _recipe(run) else "solve(..., resume=True)"
+                    reason = (
+                        f"killed or still running after {run.travel:.4g} of "
+                        f"{run.model.travel:.4g}{self.goal}: {how} continues it"
+                    )
+                    run.result(reason, elapsed).write(staging, since=self._rows)
+                    self._rows = len(run.states)
+        except OSError as error:
+            return self._unwritable(error)
+        return ""
+
+    def _unwritable(self, error: OSError) -> str:
+        return f"cannot write to {self.folder}: {error.strerror or error}"
 
     def _checkpoint(self, run: Run, step: float, elapsed: float) -> bytes:
-        equations, states = run.equations, run.states
-        head = {
-            "format": FORMAT,
-            "recipe": _recipe(run),
-            "options": self.options,
-            "parameters": run.model.parameters,
-            "settings": asdict(run.settings),
-            "step": step,
-            "elapsed": elapsed,
-            "travel": run.travel,
-            "account": asdict(run.account),
-            "equations": {name: getattr(equations, name) for name in COUNTED},
-            "tangent": {name: getattr(equations.tangent, name) for name in WORKED},
+        states = run.states
+        head = {"format": FORMAT, "recipe": _recipe(run), "options": self.options}
+        head |= {"parameters": run.model.parameters, "settings": asdict(run.settings)}
+        head |= {"step": step, "elapsed": elapsed, "travel": run.travel}
+        head |= {"account": asdict(run.account)}
+        head["counted"] = [{name: getattr(of, name) for name in kept} for of, kept in _counted(run)]
+        rows = [[s.travel, s.force, s.linear_solves, *s.measures.values()] for s in states]
+        arrays = {"x": run.x, "g": run.equations.gradient(run.x), "rows": np.array(rows)}
+        arrays["states"] = np.array([state.x for state in states])
+        memory = {
+            f"term {i} {entry.name}": getattr(state, entry.name)
+            for i, state in enumerate(run.memory)
+            if state is not None
+            for entry in fields(state)
         }
         stream = io.BytesIO()
-        np.savez(
-            stream,
-            head=np.array(_json(head)),
-            x=run.x,
-            g=equations.gradient(run.x),
-            states=np.array([state.x for state in states]),
-            rows=np.array(
-                [[s.travel, s.force, s.linear_solves, *s.measures.values()] for s in states]
-            ),
-            **_arrays(run.memory),
-        )
+        np.savez(stream, head=np.array(_json(head)), **arrays, **memory)
         return stream.getvalue()
 
     def restore(self, run: Run) -> tuple[float, float]:
-        """Put a run of the same model where the recorded one was.
+        """Put a run of the same model, at its start, where the recorded one was.
 
-        Parameters
-        ----------
-        run : Run
-            At its start.
-
-        Returns
-        -------
-        step : float
-            Size of the next increment, mm.
-        elapsed : float
-            Time of the recorded run, s.
-
-        Raises
-        ------
-        InputError
-            If the model or the settings are others, or the record is damaged.
+        The size of its next increment, mm, and the time that it took, s. Raises InputError if the
+        model or the settings are others, or the record is damaged.
         """
-        try:
-            return self._restored(run)
-        except InputError:
-            raise
-        except (KeyError, TypeError, AttributeError, IndexError, ValueError) as error:
-            raise InputError(f"{self.folder / RESUME}: not a record of a run ({error})") from error
-
-    def _restored(self, run: Run) -> tuple[float, float]:
-        held, arrays, model = self.held, self.held["arrays"], run.model
+        recorded, model = self.recorded, run.model
         other = InputError(
             f"{self.folder}: the run there is of another input: scene, material or program have "
             "changed since"
         )
         given = json.loads(_json(model.parameters))
         settings = json.loads(_json(asdict(run.settings)))
-        if changed := [name for name in settings if settings[name] != held["settings"][name]]:
-            raise InputError(
-                f"{self.folder}: the run there was made with another {', '.join(changed)}"
+        with self._reading():
+            arrays, before = recorded["arrays"], recorded["settings"]
+            if changed := [name for name in settings if settings[name] != before[name]]:
+                raise InputError(
+                    f"{self.folder}: the run there was made with another {', '.join(changed)}"
+                )
+            for parameters in (given, recorded["parameters"]):
+                parameters.pop("scene_file", None)  # it may have moved
+            if recorded["parameters"] != given or arrays["x"].shape != model.x0.shape:
+                raise other
+            run.x, run.travel = arrays["x"], recorded["travel"]
+            run.states = [
+                State(s, x, force, int(n), dict(zip(model.measures, measures, strict=True)))
+                for x, (s, force, n, *measures) in zip(
+                    arrays["states"], arrays["rows"].tolist(), strict=True
+                )
+            ]
+            run.account = Account(**recorded["account"])
+            run.memory = tuple(
+                s and replace(s, **{f.name: arrays[f"term {i} {f.name}"] for f in fields(s)})
+                for i, s in enumerate(run.memory)
             )
-        for parameters in (given, held["parameters"]):
-            parameters.pop("scene_file", None)  # it may have moved
-        if held["parameters"] != given or arrays["x"].shape != model.x0.shape:
-            raise other
-        run.x, run.travel = arrays["x"], held["travel"]
-        run.states = [
-            State(row[0], x, row[1], int(row[2]), dict(zip(model.measures, row[3:], strict=True)))
-            for x, row in zip(arrays["states"], arrays["rows"].tolist(), strict=True)
-        ]
-        account = held["account"] | {"entry": Entry(**held["account"]["entry"])}
-        run.account = Account(**account)
-        for name in COUNTED:
-            setattr(run.equations, name, held["equations"][name])
-        run.memory = tuple(
-            None if state is None else type(state)(**_parts(arrays, f"term {i} "))
-            for i, state in enumerate(run.memory)
-        )
-        run.equations.take(run.memory)
-        g = run.equations.gradient(run.x)
-        if not np.allclose(g, arrays["g"], rtol=1e-9, atol=1e-9 * np.abs(arrays["g"]).max()):
-            raise other
-        run.equations.certify(run.x)  # as the run had done: the next steps are the same ones
-        for name in WORKED:
-            setattr(run.equations.tangent, name, held["tangent"][name])
+            run.equations.take(run.memory)
+            g = run.equations.gradient(run.x)
+            if not np.allclose(g, arrays["g"], rtol=1e-9, atol=1e-9 * np.abs(arrays["g"]).max()):
+                raise other
+            run.equations.certify(run.x)  # as the run had done: the next steps are the same ones
+            for (of, _), values in zip(_counted(run), recorded["counted"], strict=True):
+                for name, value in values.items():
+                    setattr(of, name, value)
         self._rows = len(run.states)
-        return held["step"], held["elapsed"]
+        return recorded["step"], recorded["elapsed"]
 
     def close(self, result: Result) -> None:
         """Write the result; a completed run cannot be continued.
 
         Where it cannot be written, this becomes the `reason` of the result.
-
-        Parameters
-        ----------
-        result : Result
         """
         try:
             with added(self.folder) as staging:
@@ -259,20 +216,9 @@ class Journal:
             if not result.reason:
                 (self.folder / RESUME).unlink(missing_ok=True)
         except OSError as error:
-            failed = f"cannot write to {self.folder}: "
-            if failed not in result.reason:
-                reason = f"{failed}{error.strerror or error}"
-                result.reason = f"{result.reason}; {reason}" if result.reason else reason
-
-
-def _arrays(memory: Memory) -> dict[str, FloatArray]:
-    """Arrays of the states of the terms by name."""
-    return {
-        f"term {i} {entry.name}": getattr(state, entry.name)
-        for i, state in enumerate(memory)
-        if state is not None
-        for entry in fields(state)
-    }
+            if "cannot write to" not in result.reason:
+                reasons = [result.reason, self._unwritable(error)]
+                result.reason = "; ".join(filter(None, reasons))
 
 
 def _recipe(run: Run) -> dict[str, Any] | None:
@@ -289,5 +235,7 @@ def _json(content: Any) -> str:
     return json.dumps(content, default=np.generic.item)
 
 
-def _parts(arrays: dict[str, FloatArray], prefix: str) -> dict[str, FloatArray]:
-    return {k.removeprefix(prefix): v for k, v in arrays.items() if k.startswith(prefix)}
+def _counted(run: Run) -> tuple[tuple[Any, tuple[str, ...]], ...]:
+    """Objects of a run beside its account, and what of them goes into a checkpoint."""
+    of_tangent = "factorisations", "convex_taken", "share"
+    return (run.equations, ("continued", "relaxed", "travel")), (run.equations.tangent, of_tangent)

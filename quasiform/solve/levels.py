@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import time
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -25,12 +24,13 @@ from ..model import Model
 from ..net.transfer import smoothly
 from ..potential import Memory
 from ..result.run import Result, State
-from .equilibrium import Equilibrium, NotConvergedError
-from .increments import CHANGED, ESTIMATING, Callback, follow, report
+from ..unknowns import FloatArray
+from .equilibrium import Equilibrium
+from .increments import CHANGED, Callback, follow, judge, report
 from .journal import Journal
+from .linear import NotConvergedError
 from .run import Run, Settings
 
-FloatArray = np.ndarray
 MOST = 100  # Newton iterations of one solve on a finer mesh, before the path is followed there
 FINEST = 16  # of the size asked for, when refining to an accuracy
 CARRIED = 5.0  # mm: length of the last increment that friction starts from, at least a row
@@ -52,21 +52,11 @@ def refine(
     ----------
     model : Model
         Its size is that of the end state; with `accuracy`, that of the first mesh to be judged.
-    callback : callable, optional
-        Called with the `Progress` of the path, which it may stop, as in `solve`.
     accuracy : float, optional
         Halve the size until the estimated error of the 99th percentile of the shear angle is
         below it, degrees.
-    increment : float, optional
-        Of the path, mm.
-    linear : str
-        Linear solver.
-    tolerance : float
-        Sum of the nodal residuals relative to the driving force.
-    out : path or Journal, optional
-        Folder in which the path is recorded increment by increment, and the result at the end.
-    resume : bool
-        Continue the run of this model in `out`.
+    callback, increment, linear, tolerance, out, resume
+        As in `solve`; the path is called back and recorded increment by increment.
 
     Returns
     -------
@@ -86,7 +76,7 @@ def refine(
     clock = time.perf_counter()
     settings = Settings(increment, linear=linear, tolerance=tolerance)
     journal = out if isinstance(out, Journal) or out is None else Journal(out, resume=resume)
-    clock -= journal.held.get("elapsed", 0.0) if journal else 0.0
+    clock -= journal.recorded.get("elapsed", 0.0) if journal else 0.0
     if model.changed:
         result = follow(model, settings, callback, journal)
         result.notes.append(CHANGED)
@@ -134,7 +124,7 @@ def _refined(
     result = levels[-1]
     result.judge(levels[:-1])
     if len(levels) == 1 and not result.reason:
-        _judged_by_coarser(result, settings, callback)
+        judge(result, settings, callback, 2 * model.size)
     return result
 
 
@@ -147,20 +137,6 @@ def _coarser(model: Model) -> list[Model]:
         except InputError:  # too coarse for the blank
             break
     return models
-
-
-def _judged_by_coarser(result: Result, settings: Settings, callback: Callback | None) -> None:
-    """Judge a result by the same model on a mesh twice as coarse."""
-    model = result.model
-    report(callback, f"error of the mesh: the same at {2 * model.size:g} mm")
-    try:
-        coarse = follow(model.recipe.build(2 * model.size, like=model), settings, partial=False)
-        result.add_work(coarse)
-        result.judge([coarse])
-    except InputError:  # too coarse to be built: the result stands without an estimate
-        pass
-    except KeyboardInterrupt:
-        result.reason = ESTIMATING
 
 
 def _worth_refining(levels: list[Result], accuracy: float | None) -> bool:
@@ -176,41 +152,32 @@ def _check_accuracy(result: Result, accuracy: float | None) -> None:
     """Give the reason where an accuracy that was asked for is not reached."""
     if accuracy is None or result.reason:
         return
-    error = result.estimate["shear_angle_deg"]
+    error, size = result.estimate["shear_angle_deg"], result.model.size
+    wanted = f"accuracy of {accuracy:g} degrees"
     if error is None:
-        result.reason = f"accuracy of {accuracy:g} degrees: no estimate of the error"
+        result.reason = f"{wanted}: no estimate of the error"
     elif error > accuracy:
-        result.reason = (
-            f"accuracy of {accuracy:g} degrees not reached: estimated {error:.2g} at a size of "
-            f"{result.model.size:g} mm"
-        )
+        result.reason = f"{wanted} not reached: estimated {error:.2g} at a size of {size:g} mm"
 
 
-@dataclass(frozen=True)
-class _Motion:
-    """Motion of all unknowns over the last increment of a path, (n_dofs,) mm."""
-
-    model: Model
-    dx: FloatArray
-
-
-def _last_increment(path: Result) -> _Motion:
+def _last_increment(path: Result) -> FloatArray:
+    """(n_dofs,) motion of all unknowns over the last increment of a path, mm."""
     end = path.states[-1]
     rows = [s for s in path.states if s.travel <= end.travel - CARRIED * (1 - 1e-9)]
-    return _Motion(path.model, end.x - (rows[-1] if rows else path.states[0]).x)
+    return end.x - (rows[-1] if rows else path.states[0]).x
 
 
 def _carry(
     coarse: Result,
     model: Model,
-    last: _Motion,
+    last: FloatArray,
     path: Result,
     callback: Callback | None,
     settings: Settings,
-) -> tuple[Result, Result, _Motion]:
+) -> tuple[Result, Result, FloatArray]:
     """Solve the end of a model from that of a coarser one; the path too where that fails.
 
-    Returns the result, the path behind it and its last increment.
+    The result, the path behind it and its last increment.
     """
     clock = time.perf_counter()
     equations = Equilibrium(model, settings.linear, settings.tolerance, max_iterations=MOST)
@@ -222,58 +189,44 @@ def _carry(
         run.memory = carried(coarse, model, last, x, before)
         equations.take(run.memory)
         x = run.settle(x)
-        if model.lost(x):
-            raise NotConvergedError(model.lost(x), x, np.inf)
+        if lost := model.lost(x):
+            raise NotConvergedError(lost)
     except NotConvergedError:
         report(callback, f"its end was not found: the path on a mesh of {model.size:g} mm")
-        result = follow(model, settings, callback)
+        path = result = follow(model, settings, callback)
         result.rescues["path followed on the finer mesh"] = 1
-        _add_work(result, coarse, equations.tangent.factorisations)
-        return result, result, _last_increment(result)
-    run.open(x, equations.travel)
-    run.account.collapse = path.collapse or model.collapsed(x, equations.travel)
-    run.states = [State(0.0, start, 0.0, 0, {n: m(start) for n, m in model.measures.items()})]
-    run.keep()
-    result = run.result("", time.perf_counter() - clock)
-    result.path, result.energy_balance = path, path.energy_balance
-    result.stabilisation, result.snaps = path.stabilisation, path.snaps
-    result.increments = path.increments + 1
-    _add_work(result, coarse, 0)
-    return result, path, _Motion(model, x - before)
-
-
-def _add_work(result: Result, coarse: Result, failed: int) -> None:
-    """Add the factorisations of a coarser level and of a failed try, and the rescues."""
+        last, failed = _last_increment(result), equations.tangent.factorisations
+    else:
+        run.open(x, equations.travel)
+        run.account.collapse = path.collapse or model.collapsed(x, equations.travel)
+        run.states = [State(0.0, start, 0.0, 0, {n: m(start) for n, m in model.measures.items()})]
+        run.keep()
+        result = run.result("", time.perf_counter() - clock)
+        result.path, result.energy_balance = path, path.energy_balance
+        result.stabilisation, result.snaps = path.stabilisation, path.snaps
+        result.increments = path.increments + 1
+        last, failed = x - before, 0
     result.add_work(coarse, failed)
     result.rescues = {
         rung: result.rescues.get(rung, 0) + coarse.rescues.get(rung, 0)
         for rung in [*coarse.rescues, *result.rescues]
     }
+    return result, path, last
 
 
-def transferred(coarse: Result, model: Model, last: _Motion) -> tuple[FloatArray, FloatArray]:
-    """Bring the end of a result to another mesh of the same model.
+def transferred(coarse: Result, model: Model, last: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Bring the end of a result to another mesh of the same model, by its last increment.
 
-    Parameters
-    ----------
-    coarse : Result
-    model : Model
-    last : _Motion
-        Over the last increment.
-
-    Returns
-    -------
-    x, before : (n_dofs,) arrays, mm
-        Unknowns at the end, and one increment earlier.
+    The unknowns at the end and one increment earlier, (n_dofs,) arrays, mm.
     """
     old, end = coarse.model, coarse.states[-1]
     x, dx = model.x0.copy(), np.zeros_like(model.x0)
     for field in model.unknowns.fields:
         theirs = old.unknowns[field.name]
         if field.places is None:
-            x[field.dofs], dx[field.dofs] = theirs.of(end.x), theirs.of(last.dx)
+            x[field.dofs], dx[field.dofs] = theirs.of(end.x), theirs.of(last)
             continue
-        both = np.hstack([theirs.of(end.x) - theirs.of(old.x0), theirs.of(last.dx)])
+        both = np.hstack([theirs.of(end.x) - theirs.of(old.x0), theirs.of(last)])
         moved, increment = np.hsplit(smoothly(theirs.places, both, field.places), 2)
         x[field.dofs] += moved
         dx[field.dofs] = np.where(model.fixed[field.dofs], 0.0, increment)
@@ -282,26 +235,18 @@ def transferred(coarse: Result, model: Model, last: _Motion) -> tuple[FloatArray
 
 
 def carried(
-    coarse: Result, model: Model, last: _Motion, x: FloatArray, before: FloatArray
+    coarse: Result, model: Model, last: FloatArray, x: FloatArray, before: FloatArray
 ) -> Memory:
-    """Bring the states of the terms to another mesh, each term by its own rule.
-
-    Parameters
-    ----------
-    coarse, model, last
-        As in `transferred`.
-    x, before : (n_dofs,) arrays, mm
-        What that returned.
-    """
+    """Bring the states of the terms to another mesh, each by its own rule; see `transferred`."""
     old, end = coarse.model, coarse.states[-1]
-    known = {t.name: (t, s) for t, s in zip(old.terms, coarse.memory, strict=True)}
+    known = {
+        term.name: Standing(term, old.unknowns, state, end.x, end.x - last)
+        for term, state in zip(old.terms, coarse.memory, strict=True)
+    }
     states = []
     for term in model.terms:
-        theirs, state = known.get(term.name, (None, None))
-        was = None
-        if theirs is not None:
-            was = Standing(theirs, old.unknowns, state, end.x, end.x - last.dx)
-        states.append(term.carried(state, was, Standing(term, model.unknowns, None, x, before)))
+        was, now = known.get(term.name), Standing(term, model.unknowns, None, x, before)
+        states.append(term.carried(was and was.state, was, now))
     return tuple(states)
 
 

@@ -6,53 +6,30 @@
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import numpy as np
 from scipy.sparse import csc_array, csr_array
 from scipy.sparse.linalg import splu
 
 from ..checks import InputError, suggestion
+from ..unknowns import FloatArray
 
-FloatArray = np.ndarray
 NAMES = ("auto", "pardiso", "superlu")
 
 
-class SingularMatrixError(ArithmeticError):
+class NotConvergedError(ArithmeticError):
+    """A solve that did not reach its tolerance."""
+
+
+class SingularMatrixError(NotConvergedError):
     """The matrix cannot be factorised: a motion without stiffness."""
 
 
-class LinearSolver(Protocol):
-    """Factorise once, solve for several right-hand sides."""
+def linear_solver(name: str, pattern: csr_array, points: FloatArray) -> Pardiso | SuperLU:
+    """Return the linear solver of that name (of `NAMES`) for a fixed upper-triangular pattern.
 
-    name: str
-    inertia: bool  # whether the number of negative pivots is known
-
-    def factor(self, values: FloatArray) -> int:
-        """Factorise; return the number of negative pivots (0 where `inertia` is False)."""
-        ...
-
-    def solve(self, b: FloatArray) -> FloatArray:
-        """Solve with the last factor."""
-        ...
-
-
-def linear_solver(name: str, pattern: csr_array, points: FloatArray) -> LinearSolver:
-    """Return the linear solver of that name for a fixed upper-triangular pattern.
-
-    Parameters
-    ----------
-    name : str
-        One of `NAMES`; "auto" takes PARDISO if it is installed, else SuperLU.
-    pattern : (n, n) csr_array
-        Upper triangle.
-    points : (n, 2) array
-        Flat place of each unknown, mm; nan without one (these are eliminated last).
-
-    Raises
-    ------
-    InputError
-        For an unknown name, or "pardiso" where it is not installed.
+    "auto" takes PARDISO if it is installed, else SuperLU, which orders the unknowns by their flat
+    points (n, 2), mm; those without one (nan) are eliminated last. Raises InputError for an
+    unknown name, or "pardiso" where it is not installed.
     """
     if name not in NAMES:
         raise InputError(f"unknown linear solver '{name}': {suggestion(name, NAMES)}")
@@ -71,7 +48,6 @@ class Pardiso:
     """MKL PARDISO, symmetric indefinite: analysed once, refactorised with new values."""
 
     name = "pardiso"
-    inertia = True
 
     def __init__(self, pattern: csr_array) -> None:
         import pymklpardiso
@@ -84,14 +60,13 @@ class Pardiso:
         self._analysed = False
 
     def factor(self, values: FloatArray) -> int:
+        """Factorise; return the number of negative pivots."""
+        factor = self._solver.refactor_values if self._analysed else self._solver.factor
         try:
-            if self._analysed:
-                self._solver.refactor_values(values)
-            else:
-                self._solver.factor(values)
-                self._analysed = True
+            factor(values)
         except RuntimeError as error:
-            raise SingularMatrixError(str(error)) from error
+            raise SingularMatrixError(f"the tangent is singular: {error}") from error
+        self._analysed = True
         return int(self._solver.get_iparm_value(22))
 
     def solve(self, b: FloatArray) -> FloatArray:
@@ -102,7 +77,6 @@ class SuperLU:
     """scipy's SuperLU without pivoting on a geometric nested-dissection order."""
 
     name = "superlu"
-    inertia = True
 
     def __init__(self, pattern: csr_array, points: FloatArray) -> None:
         n = pattern.shape[0]
@@ -126,16 +100,13 @@ class SuperLU:
         n = len(self._order)
         matrix = csc_array((values[self._source], self._indices, self._indptr), shape=(n, n))
         try:
-            self._factor = splu(
-                matrix,
-                permc_spec="NATURAL",
-                diag_pivot_thresh=0.0,
-                options={"SymmetricMode": True},
-            )
+            options = {"SymmetricMode": True}
+            self._factor = splu(matrix, "NATURAL", diag_pivot_thresh=0.0, options=options)
         except RuntimeError as error:
-            raise SingularMatrixError(str(error)) from error
+            raise SingularMatrixError(f"the tangent is singular: {error}") from error
         if (self._factor.perm_r != np.arange(n)).any():
-            raise SingularMatrixError("a pivot is zero")  # the signs would not be the inertia
+            # the signs would not be the inertia
+            raise SingularMatrixError("the tangent is singular: a pivot is zero")
         return int((self._factor.U.diagonal() < 0).sum())
 
     def solve(self, b: FloatArray) -> FloatArray:
@@ -145,22 +116,10 @@ class SuperLU:
 
 
 def nested_dissection(graph: csr_array, points: FloatArray, leaf: int = 64) -> np.ndarray:
-    """Elimination order by recursive bisection (George 1973), separators last.
+    """Elimination order (n,) by recursive bisection (George 1973), separators last.
 
     The plane is halved by coordinate; the separator is what couples the lower half to the upper.
-
-    Parameters
-    ----------
-    graph : (n, n) csr_array
-        Symmetric sparsity pattern.
-    points : (n, 2) array
-        Flat positions; nan rows are put at the very end.
-    leaf : int
-        Number of degrees of freedom below which a part is not divided further.
-
-    Returns
-    -------
-    order : (n,) int array
+    Unknowns at nan are put at the very end.
     """
     rigid = np.isnan(points).any(1)
     upper = np.zeros(len(points), dtype=bool)

@@ -22,18 +22,19 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigsh
 
-from .equilibrium import Equilibrium, NotConvergedError
+from ..unknowns import FloatArray
+from .equilibrium import Equilibrium
+from .linear import NotConvergedError
 
-FloatArray = np.ndarray
 SLIDING = 60  # convex tangents in one solve, from which on a sheet slides off a saddle
 
 
 def predict(equations: Equilibrium, x: FloatArray, travel: float) -> FloatArray:
     """Move the prescribed unknowns to `travel` and the others along the tangent."""
     motion, free = equations.motion_to(x, travel), equations.free
-    _, load = equations.factor_definite(x, motion=motion)
+    _, load = equations.tangent.factor_definite(x, equations.memory, motion=motion)
     moved = x + motion
-    moved[free] += equations.direction(x, equations.gradient(x)[free] + load)
+    moved[free] -= equations.tangent.solve(equations.gradient(x)[free] + load)
     equations.travel = travel
     if not np.isfinite(moved).all() or equations.model.turned_over(x, moved):
         moved = x + motion
@@ -42,17 +43,11 @@ def predict(equations: Equilibrium, x: FloatArray, travel: float) -> FloatArray:
 
 
 def minimise(
-    equations: Equilibrium,
-    x: FloatArray,
-    tolerance: float | None = None,
-    max_iterations: int | None = None,
+    equations: Equilibrium, x: FloatArray, tolerance: float = 0.0, max_iterations: int = 0
 ) -> FloatArray:
     """Newton iterations with the lagged values as they are, to the tolerance or a looser one.
 
-    Raises
-    ------
-    NotConvergedError
-        With the reason, the place of the largest residual and the best state.
+    Raises NotConvergedError with the reason and the place of the largest residual.
     """
     free, tangent = equations.free, equations.tangent
     tolerance = tolerance or equations.tolerance
@@ -73,22 +68,20 @@ def minimise(
             equations.factor(x, 1.0, stress=stress)
             convex_left -= 1
         else:
-            exact, _ = equations.factor_definite(x, stress=stress, sliding=sliding)
+            exact, _ = tangent.factor_definite(x, equations.memory, sliding, stress=stress)
             taken += not exact
             convex_left = 0 if exact or sliding else 1
         d = np.zeros_like(x)
-        d[free] = equations.direction(x, g[free])
+        d[free] = -tangent.solve(g[free])
         if stress is not None:
             tangent.forget()  # no tangent of this state
         energies = [*energies[-7:], equations.energy(x)]
         highest = energies[-1] if stress is None else max(energies)
-        before, x = x, _line_search(equations, x, g, d, residual, highest)
+        before, x = x, _line_search(equations, x, g, d, highest)
         stress = None if sliding else _foresee(equations, before, x)
     raise NotConvergedError(
         f"no equilibrium in {max_iterations} Newton iterations: residual {residual:.1e} of the "
-        f"driving force against {tolerance:.0e}, largest {equations.worst(g)}",
-        x,
-        residual,
+        f"driving force against {tolerance:.0e}, largest {equations.worst(g)}"
     )
 
 
@@ -101,19 +94,14 @@ def _foresee(equations: Equilibrium, x: FloatArray, moved: FloatArray) -> FloatA
 
 
 def _line_search(
-    equations: Equilibrium,
-    x: FloatArray,
-    g: FloatArray,
-    d: FloatArray,
-    residual: float,
-    highest: float,
+    equations: Equilibrium, x: FloatArray, g: FloatArray, d: FloatArray, highest: float
 ) -> FloatArray:
     """Armijo's rule by halving, with a floor of round-off, a longest step, the flip guard."""
     slope = float(g @ d)
     if equations.convex == "never" and slope > 0:  # the tangent is not positive definite there
         d, slope = -d, -slope
     if not np.isfinite(slope) or slope >= 0:
-        raise NotConvergedError("Newton's direction is no descent direction", x, residual)
+        raise NotConvergedError("Newton's direction is no descent direction")
     floor = 1e-12 * (abs(highest) + equations.model.resting + 1e-6)
     longest = equations.model.unknowns.longest(d)
     alpha = min(1.0, 3.0 * equations.mesh_size / max(longest, 1e-300))
@@ -123,25 +111,18 @@ def _line_search(
             return trial
         alpha *= 0.5
     raise NotConvergedError(
-        f"no descent along Newton's direction: residual {residual:.1e} of the driving force, "
-        f"largest {equations.worst(g)}",
-        x,
-        residual,
+        f"no descent along Newton's direction: residual {equations.residual(g):.1e} of the driving "
+        f"force, largest {equations.worst(g)}"
     )
 
 
 def settle(equations: Equilibrium, x: FloatArray) -> FloatArray:
     """Minimise and refresh the lagged values until the residual with fresh ones is small.
 
-    The normal forces of friction are a fixed point, which Anderson's mixing (1965) speeds up:
-    the next ones are those at which the changes of the last passes would cancel. A pass is
-    solved to a fifth of what the last refreshing had left, no further. After a snap a sheet
-    may still creep for dozens of passes; on the way, the next increment may take over the last
-    of it.
-
-    Raises
-    ------
-    NotConvergedError
+    The normal forces of friction are a fixed point, which Anderson's mixing (1965) speeds up: the
+    next ones are those at which the changes of the last passes would cancel. A pass is solved to a
+    fifth of what the last one left, no further. After a snap a sheet may still creep for dozens of
+    passes; on the way, the next increment may take over the last of it.
     """
     mixed, goal = equations.mixed, equations.goal
     passes = 60 if equations.at_end else 12
@@ -157,8 +138,8 @@ def settle(equations: Equilibrium, x: FloatArray) -> FloatArray:
         if residual < (3 if i < 8 else 8) * goal:
             return x
         inner = max(goal, 0.2 * residual) if mixed else goal
-        if not equations.at_end and i >= 6 and residual < equations.carried:
-            equations.carried_on += 1
+        if not equations.at_end and i >= 6 and residual < equations.left_over:
+            equations.continued += 1
             return x
         fresh.append(equations.lagged())
         used, fresh = used[-6:], fresh[-6:]
@@ -168,9 +149,7 @@ def settle(equations: Equilibrium, x: FloatArray) -> FloatArray:
             steps = np.diff(change, axis=0)
             shares = np.linalg.lstsq(steps.T, change[-1], rcond=1e-6)[0]
             equations.lag(np.maximum(F[-1] - shares @ np.diff(F, axis=0), 0.0))
-    raise NotConvergedError(
-        f"friction does not settle in {passes} passes: residual {residual:.1e}", x, residual
-    )
+    raise NotConvergedError(f"friction does not settle in {passes} passes: residual {residual:.1e}")
 
 
 def downhill(equations: Equilibrium, x: FloatArray, stride: float = 1e-3) -> FloatArray:
@@ -186,7 +165,7 @@ def downhill(equations: Equilibrium, x: FloatArray, stride: float = 1e-3) -> Flo
     try:
         _, modes = eigsh(inverse, k=1, which="SA", v0=start, tol=1e-2)
     except ArpackNoConvergence as error:
-        raise NotConvergedError("no unstable mode found at a saddle", x, np.inf) from error
+        raise NotConvergedError("no unstable mode found at a saddle") from error
     d = np.zeros_like(x)
     d[equations.free] = modes[:, 0]
     nodes = equations.model.unknowns.at_nodes()

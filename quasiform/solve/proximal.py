@@ -17,10 +17,11 @@ from __future__ import annotations
 import numpy as np
 
 from ..energy.term import Term
-from .equilibrium import Equilibrium, NotConvergedError
+from ..unknowns import FloatArray
+from .equilibrium import Equilibrium
+from .linear import NotConvergedError
 from .newton import minimise
 
-FloatArray = np.ndarray
 FIRST, LEAST, MOST = 1e-2, 1e-6, 10.0  # m, N/mm³; the stick of friction is 0.1
 STEPS = 60
 ITERATIONS = 40  # of Newton's method in one step
@@ -28,45 +29,28 @@ ENOUGH = 1e-2  # forces of the bed, relative to the driving force
 
 
 class Bed(Term):
-    """The quadratic term m/2 Σ w (x - anchor)² over all unknowns.
+    """The quadratic term m/2 Σ w (x - anchor)² over all unknowns, with weights w (n_dofs,), mm²."""
 
-    Parameters
-    ----------
-    weights : (n_dofs,) array
-        w, mm².
-    """
+    name = "proximal bed"
 
     def __init__(self, weights: FloatArray) -> None:
-        self.name = "proximal bed"
         self.dofs = np.arange(len(weights))[:, None]
         self.weights, self.m, self.anchor = weights, 0.0, np.zeros_like(weights)
 
     def energy(self, x: FloatArray, state: None = None) -> FloatArray:
-        """Energy of each unknown, mJ."""
         return 0.5 * self.m * self.weights * (x - self.anchor) ** 2
 
     def gradient(self, x: FloatArray, state: None = None) -> FloatArray:
-        """(n_dofs, 1) forces, N."""
         return (self.m * self.weights * (x - self.anchor))[:, None]
 
     def hessian(self, x: FloatArray, state: None, convex: bool) -> FloatArray:
-        """(n_dofs, 1, 1) stiffness, N/mm."""
         return (self.m * self.weights)[:, None, None]
 
 
 def creep(equilibrium: Equilibrium, x: FloatArray) -> tuple[FloatArray, float]:
-    """Creep from x to near an equilibrium at the present travel.
+    """Creep from x to near an equilibrium at the present travel; it and the work of the bed, mJ.
 
-    Returns
-    -------
-    x : (n_dofs,) array, mm
-    work : float
-        What the bed has taken up, mJ.
-
-    Raises
-    ------
-    NotConvergedError
-        Where the bed does not fade within `STEPS` steps, or no m is large enough.
+    Raises NotConvergedError where the bed does not fade within `STEPS`, or no m is large enough.
     """
     bed = Bed(equilibrium.model.unknowns.areas())
     bed.m, work, force = FIRST, 0.0, np.inf
@@ -88,5 +72,5 @@ def creep(equilibrium: Equilibrium, x: FloatArray) -> tuple[FloatArray, float]:
                 return x, work
             bed.m = max(bed.m / 3.0, LEAST)
     raise NotConvergedError(
-        f"proximal steps: forces of {force:.1e} of the driving force left after {STEPS}", x, force
+        f"proximal steps: forces of {force:.1e} of the driving force left after {STEPS}"
     )

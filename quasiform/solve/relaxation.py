@@ -14,10 +14,11 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse import csr_array
 
-from .equilibrium import Equilibrium, NotConvergedError
+from ..unknowns import FloatArray
+from .equilibrium import Equilibrium
+from .linear import NotConvergedError
 
-FloatArray = np.ndarray
-RAMP = 400  # iterations
+RAMP, REFRESHED = 400, 50  # iterations
 
 
 def relax(
@@ -26,32 +27,11 @@ def relax(
     motion: FloatArray,
     tolerance: float | None = None,
     max_iterations: int = 40_000,
-    refresh_every: int = 50,
 ) -> tuple[FloatArray, float]:
-    """Relax a state to equilibrium after a motion of the prescribed degrees of freedom.
+    """Relax a state to equilibrium; it and the kinetic energy that was taken out, mJ.
 
-    Parameters
-    ----------
-    equilibrium : Equilibrium
-    x : (n_dofs,) array
-        Start.
-    motion : (n_dofs,) array
-        Motion of the prescribed degrees of freedom, spread over the first `RAMP` iterations.
-    tolerance : float, optional
-        Residual relative to the driving force; the goal of `equilibrium` if not given.
-    max_iterations : int
-    refresh_every : int
-        Iterations between updates of the masses and of lagged friction.
-
-    Returns
-    -------
-    x : (n_dofs,) array
-    damped : float
-        Kinetic energy taken out, mJ.
-
-    Raises
-    ------
-    NotConvergedError
+    The motion (n_dofs,) of the prescribed unknowns is spread over the first `RAMP` iterations.
+    Masses and lagged values are updated every `REFRESHED` iterations.
     """
     tolerance = tolerance or equilibrium.goal
     free, nodes = equilibrium.free, equilibrium.model.unknowns.at_nodes()
@@ -62,13 +42,13 @@ def relax(
         equilibrium.relaxed += 1
         if iteration < ramp:
             x = x + motion / ramp
-        if iteration % (refresh_every if iteration >= ramp else RAMP // 20) == 0:
+        if iteration % (REFRESHED if iteration >= ramp else RAMP // 20) == 0:
             mass = _masses(equilibrium, x)
             equilibrium.refresh(x)
         g = equilibrium.gradient(x)
         residual = equilibrium.residual(g)
         # a residual counts with refreshed friction only
-        settled = not equilibrium.remembers or iteration % refresh_every == 0
+        settled = not equilibrium.remembers or iteration % REFRESHED == 0
         if residual < tolerance and settled and iteration >= ramp:
             return x, damped
         a = np.where(free, -g / mass, 0.0)
@@ -83,12 +63,10 @@ def relax(
         v, kinetic_before = v_next, kinetic
         x = x + v
         if not np.abs(v[nodes]).max() < equilibrium.mesh_size:
-            raise NotConvergedError("dynamic relaxation diverged", x, np.inf)
+            raise NotConvergedError("dynamic relaxation diverged")
     raise NotConvergedError(
         f"dynamic relaxation: residual {residual:.1e} after {max_iterations} iterations, "
-        f"largest {equilibrium.worst(g)}",
-        x,
-        residual,
+        f"largest {equilibrium.worst(g)}"
     )
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,14 +19,17 @@ import numpy as np
 from ..checks import InputError, check_number
 from ..potential import Memory
 from ..result.run import Result, State
-from .equilibrium import Equilibrium, NotConvergedError
+from ..unknowns import FloatArray
+from .equilibrium import Equilibrium
+from .linear import NotConvergedError
 from .newton import downhill, predict, settle
 from .proximal import creep
 from .relaxation import relax
 
-FloatArray = np.ndarray
 MOST_RELAXED = 60_000  # iterations of a run by dynamic relaxation alone
 WEIGHED = 5e-3  # of the work to come: what an increment may miss by the trapezoidal rule
+
+Rung = Callable[["Run", float], FloatArray]
 
 
 @dataclass(frozen=True)
@@ -59,61 +63,28 @@ class TooCoarseError(ArithmeticError):
     """An increment over which the trapezoidal rule misses the work."""
 
 
-@dataclass(frozen=True)
-class Entry:
-    """Energy account of an equilibrium state: travel, driving force (N), stored energy (mJ)."""
-
-    travel: float
-    force: float
-    stored: float
-
-
 @dataclass
 class Account:
-    """Where a run is with its energy, and how it came there; all of it goes into a checkpoint.
+    """Where a run is with its energy, and how it came there; all of it goes into a checkpoint."""
 
-    Parameters
-    ----------
-    entry : Entry
-        Of the last increment.
-    work, gap, damped : float
-        Work done by the travel, what the balance misses of it, and what the rescues took up, mJ.
-    increments : int
-    rescues : dict of rung to count
-    snaps : list of dict
-        Where the sheet jumped, and the energy that this released.
-    missed : (float, float)
-        Target and gap of an increment that was too coarse.
-    collapse : dict, optional
-        Where a triangle first collapsed.
-    ended : str
-        Why there is no way on from here.
-    """
-
-    entry: Entry = field(default_factory=lambda: Entry(0.0, 0.0, 0.0))
-    work: float = 0.0
-    gap: float = 0.0
-    damped: float = 0.0
+    force: float = 0.0  # driving force at the last state, N
+    stored: float = 0.0  # energy there, mJ
+    work: float = 0.0  # done by the travel, mJ
+    gap: float = 0.0  # what the balance misses of it, mJ
+    damped: float = 0.0  # what the rescues took up, mJ
     increments: int = 0
-    rescues: dict[str, int] = field(default_factory=dict)
-    snaps: list[dict[str, float]] = field(default_factory=list)
-    missed: tuple[float, float] = (-np.inf, np.inf)
-    collapse: dict[str, Any] | None = None
-    ended: str = ""
+    rescues: dict[str, int] = field(default_factory=dict)  # uses of each rung
+    snaps: list[dict[str, float]] = field(default_factory=list)  # where the sheet jumped
+    missed: tuple[float, float] = (-np.inf, np.inf)  # target and gap of one that was too coarse
+    collapse: dict[str, Any] | None = None  # where a triangle first collapsed
+    ended: str = ""  # why there is no way on from here
 
     def count(self, rung: str) -> None:
-        """Count one use of a rung."""
         self.rescues[rung] = self.rescues.get(rung, 0) + 1
 
 
 class Run:
-    """One run of a model.
-
-    Parameters
-    ----------
-    equations : Equilibrium
-    settings : Settings
-    """
+    """One run of a model: the state it has come to, the states kept, and the energy account."""
 
     def __init__(self, equations: Equilibrium, settings: Settings) -> None:
         self.equations, self.settings, self.model = equations, settings, equations.model
@@ -121,15 +92,12 @@ class Run:
         self.memory: Memory = equations.memory  # committed
         self.account = Account()
 
-    # The start
-
     def start(self) -> FloatArray:
         """Equilibrium before any travel (a holder settling on the sheet)."""
-        equations, x0 = self.equations, self.model.x0
-        x = x0.copy()
+        x0 = self.model.x0
         if not self.model.resting:
-            return x
-        x = self._shaken(x)
+            return x0.copy()
+        x = self._shaken(x0.copy())
         if self.settings.method == "relaxation":
             x = self._relaxed(x, 0.0)
         else:
@@ -139,52 +107,35 @@ class Run:
                 self.back()
                 self.account.count("dynamic relaxation")
                 x = self._solve(self._relaxed(x0, 0.0, 1e-2, 5000))
-        self._accept(x, equations.potential.commit(x, equations.memory))
-        return x
+        return self._committed(x)
 
     def open(self, x: FloatArray, travel: float = 0.0) -> None:
         """Begin the energy account at the start, or where a run takes over."""
         self.x, self.travel = x, travel
-        self.account.entry = self._entry(x, travel, self.memory)
+        self.account.force, self.account.stored = self._force_and_energy(x, self.memory)
 
     def settle(self, x: FloatArray) -> FloatArray:
-        """Find the equilibrium near x and commit it.
+        """Find the equilibrium near x and commit it."""
+        return self._committed(self._solve(x))
 
-        Raises
-        ------
-        NotConvergedError
-        """
-        x = self._solve(x)
+    def _committed(self, x: FloatArray) -> FloatArray:
         self._accept(x, self.equations.potential.commit(x, self.equations.memory))
         return x
-
-    # One increment
 
     def advance(self, target: float, rungs: list[Rung], weigh: bool) -> None:
         """Bring the state to the travel `target` and commit it.
 
-        Parameters
-        ----------
-        target : float
-        rungs : list of functions (run, target) to x
-            What to try, in order, where Newton's method fails.
-        weigh : bool
-            Refuse an increment over which the energy balance is open by too much.
-
-        Raises
-        ------
-        NotConvergedError
-        TooCoarseError
+        The rungs are tried in order where Newton's method fails. With `weigh` an increment over
+        which the energy balance is open by too much raises TooCoarseError.
         """
         account, s = self.account, self.travel
         saddles, damped = account.rescues.get("saddle left", 0), account.damped
         moved = self._climb(target, rungs)
         memory = self.equations.potential.commit(moved, self.equations.memory)
-        entry = self._entry(moved, target, memory)
-        last = account.entry
-        work = 0.5 * (last.force + entry.force) * (entry.travel - last.travel)
+        force, stored = self._force_and_energy(moved, memory)
+        work = 0.5 * (account.force + force) * (target - s)
         lost = self.equations.potential.dissipated(self.memory, memory, moved)
-        gap = work - (entry.stored - last.stored) - lost
+        gap = work - (stored - account.stored) - lost
         # at the end there will be at least the work so far in proportion to the travel
         expected = (abs(account.work) + abs(work)) * self.model.travel / target
         coarse = abs(gap) > WEIGHED * expected
@@ -201,7 +152,7 @@ class Run:
             account.snaps.append({"from_mm": s, "to_mm": target, "released_mJ": gap})
         else:
             account.gap += gap
-        self.x, self.travel, account.entry = moved, target, entry
+        self.x, self.travel, account.force, account.stored = moved, target, force, stored
         account.work += work
         account.increments += 1
         self._accept(moved, memory)
@@ -210,7 +161,8 @@ class Run:
 
     def back(self) -> None:
         """Undo what a failed increment has changed."""
-        self.equations.back_to(self.memory, self.travel)
+        self.equations.travel = self.travel
+        self.equations.take(self.memory)
 
     def _accept(self, x: FloatArray, memory: Memory) -> None:
         self.equations.accept(x, memory)
@@ -222,12 +174,10 @@ class Run:
         if self.settings.method == "relaxation":
             if equations.relaxed > MOST_RELAXED:
                 raise NotConvergedError(
-                    f"dynamic relaxation alone has used {MOST_RELAXED} iterations", x, np.inf
+                    f"dynamic relaxation alone has used {MOST_RELAXED} iterations"
                 )
-            still = np.zeros_like(x)
-            return self._leave_saddles(
-                self._relaxed(x, target), lambda x: relax(equations, x, still)[0]
-            )
+            still, x = np.zeros_like(x), self._relaxed(x, target)
+            return self._leave_saddles(x, lambda x: relax(equations, x, still)[0])
         try:
             return self._solve(self._shaken(predict(equations, x, target)))
         except NotConvergedError as error:
@@ -261,9 +211,7 @@ class Run:
         return x if self.model.turned_over(x, shaken) else shaken
 
     def _solve(self, x: FloatArray) -> FloatArray:
-        def settled(x: FloatArray) -> FloatArray:
-            return settle(self.equations, x)
-
+        settled = partial(settle, self.equations)
         return self._leave_saddles(settled(x), settled)
 
     def _leave_saddles(
@@ -274,8 +222,6 @@ class Run:
         Near a limit point the way down is flat and curved, and each try takes twice the stride of
         the last. After `tries` the saddle is kept; the certificate says so.
         """
-        if not self.equations.tangent.inertia:
-            return x
         for i in range(tries):
             negative, _ = self.equations.factor(x, 0.0)
             if not negative:
@@ -284,31 +230,21 @@ class Run:
             x = settled(downhill(self.equations, x, 1e-3 * 2**i))
         return x
 
-    def _entry(self, x: FloatArray, travel: float, memory: Memory) -> Entry:
-        equations = self.equations
-        force = equations.force(equations.gradient(x))
-        return Entry(travel, force, equations.potential.energy(x, memory))
-
-    # What is kept
+    def _force_and_energy(self, x: FloatArray, memory: Memory) -> tuple[float, float]:
+        force = self.equations.force(self.equations.gradient(x))
+        return force, self.equations.potential.energy(x, memory)
 
     def keep(self) -> None:
-        """Keep the present state."""
-        self.states.append(
-            State(
-                self.travel,
-                self.x.copy(),
-                self.account.entry.force / self.model.share,
-                self.equations.tangent.factorisations,
-                {name: measure(self.x) for name, measure in self.model.measures.items()},
-            )
-        )
+        force, solves = self.account.force / self.model.share, self.equations.tangent.factorisations
+        measures = {name: measure(self.x) for name, measure in self.model.measures.items()}
+        self.states.append(State(self.travel, self.x.copy(), force, solves, measures))
 
     def result(self, reason: str, wall: float) -> Result:
         """Result of the states kept, the last of them the end."""
         equations, account, tangent = self.equations, self.account, self.equations.tangent
         x = self.states[-1].x
         g = equations.gradient(x)
-        own = {"convex tangent": tangent.convex_taken, "friction carried on": equations.carried_on}
+        own = {"convex tangent": tangent.convex_taken, "friction continued": equations.continued}
         return Result(
             model=self.model,
             states=list(self.states),
@@ -322,14 +258,11 @@ class Run:
             residual=equations.residual(g, certified=True),
             settings=asdict(self.settings) | {"linear": tangent.solver.name},
             energy_balance=abs(account.gap) / max(abs(account.work), 1e-12),
-            stabilisation=account.damped / max(abs(account.entry.stored), 1e-12),
+            stabilisation=account.damped / max(abs(account.stored), 1e-12),
             snaps=account.snaps,
             negative_pivots=equations.certify(x),
             collapse=account.collapse,
         )
-
-
-Rung = Callable[[Run, float], FloatArray]
 
 
 def proximal(run: Run, target: float) -> FloatArray:

@@ -30,6 +30,6 @@ def values() -> dict[str, float]:
         found[f"largest centre angle, {law}"] = np.abs(centre).max()
         at = np.abs(centre).argmax()
         found[f"displacement of the largest centre angle, {law}"] = result.states[at].travel
-        finite = [np.isfinite(values).all() for values in result.cell_fields().values()]
+        finite = [np.isfinite(values).all() for values in result.sheet.cell_fields.values()]
         found[f"all fields finite (1: yes), {law}"] = float(all(finite))
     return found

@@ -126,7 +126,7 @@ def _box(result: qf.Result, orientation: int) -> dict[str, float]:
     region, inside = NAMED[orientation]
     flange = np.maximum(np.abs(x), np.abs(y)) > OPENING
     named = flange & inside(off)
-    unstable = result.doubts()["unstable_in_shear"]
+    unstable = result.sheet.doubts()["unstable_in_shear"]
     gamma = np.abs(result.shear_angle)
     found = {
         f"share of the flange {region} where bands can form": 100
@@ -262,7 +262,7 @@ def _contours(results: dict) -> Figure:
             drawn = axes.tripcolor(
                 *place.T, blank.triangles, facecolors=np.abs(result.shear_angle), **scale
             )
-            for loop in result.outline():
+            for loop in result.sheet.outline:
                 axes.plot(*loop[:, :2].T, color="0.2", linewidth=0.6)
             formed = LinearNDInterpolator(blank.nodes, place)
             for name, (centre, radius) in result.model.areas.items():
@@ -287,7 +287,7 @@ def _outlines(results: dict) -> Figure:
             axes.axis("off")
             for orientation, colour in zip(ORIENTATIONS, (FIRST, SECOND), strict=True):
                 result = results[shape, orientation]
-                for flat, loop in zip(result.blank.outline, result.outline(), strict=True):
+                for flat, loop in zip(result.blank.outline, result.sheet.outline, strict=True):
                     axes.plot(*result.blank.nodes[flat].T, "--", color="0.6", linewidth=0.6)
                     axes.plot(*loop[:, :2].T, color=colour, label=f"{orientation}°")
             axes.set_title(shape)

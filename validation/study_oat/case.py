@@ -227,7 +227,7 @@ def _contours() -> Figure:
             result = _tension(angle, "locking")
             state = round(u)
             x, y = result.positions(state)[:, :2].T
-            fields = result.cell_fields(state)
+            fields = result.sheet_at(state).cell_fields
             for column, (values, colours, low, high) in enumerate(
                 (
                     (np.abs(fields["shear_angle"]), COLOURS, 0.0, 75.0),

@@ -39,11 +39,6 @@ def spread(
         `low` and `high` over all runs, the unperturbed one too; `stopped`, how many did not reach
         the end and are left out; and `robust`: whether half the range is within the estimated error
         (within 1 % where there is none).
-
-    Raises
-    ------
-    InputError
-        For a bad amplitude.
     """
     check_number("amplitude", amplitude)
     base = result.path or result
@@ -54,7 +49,8 @@ def spread(
         for seed in seeds
     ]
     ended = [run for run in runs if run.states[-1].travel == base.states[-1].travel]
-    found = [run.quantities | _numbers(run.wrinkles) for run in ended]
+    waves = [{k: v for k, v in run.wrinkles.items() if v is not None} for run in ended]
+    found = [run.quantities | more for run, more in zip(ended, waves, strict=True)]
     table = {}
     for name in found[0]:
         values = [quantities[name] for quantities in found if name in quantities]
@@ -69,7 +65,3 @@ def spread(
         }
     result.spread = table
     return table
-
-
-def _numbers(table: dict[str, float | None]) -> dict[str, float]:
-    return {name: value for name, value in table.items() if value is not None}
