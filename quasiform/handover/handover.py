@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..checks import InputError, suggestion
+from ..comparison.shells import read_shells
 from ..result.files import replaced
 from ..result.summary import package_version
 from . import drape, inp, table
 from .fibres import Fibres, carry, read_formed
 from .keywords import NOTICES, write_notices
-from .target import read_target
 
 if TYPE_CHECKING:
     from ..result.record import Record
@@ -111,7 +111,7 @@ def export(
         raise InputError(f"reference must be a direction of three numbers, got {reference!r}")
     direction /= np.linalg.norm(direction)
     record = read_formed(source)
-    fibres = carry(record, None if mesh is None else read_target(mesh, scale), within)
+    fibres = carry(record, None if mesh is None else read_shells(mesh, scale), within)
     writers: dict[str, Callable[[Path], tuple[str, ...]]] = {
         "abaqus": lambda folder: inp.abaqus(fibres, folder),
         "abaqus-pair": lambda folder: inp.abaqus(fibres, folder, pair=True),
