@@ -94,7 +94,7 @@ def _content(
     low, high = points.min(0), points.max(0)
     size = float((high - low).max())
     height, centre, arrows = 0.02 * size, 0.5 * (low + high), []
-    words = [(f"{pattern.name}: {SIDE}", low - [0.0, 2.0 * height], height)]
+    words = []
     for along, text, length in zip(
         pattern.along, ("0° (warp)", "90° (weft)"), (ARROW, 0.6 * ARROW), strict=True
     ):
@@ -103,4 +103,5 @@ def _content(
         back = tip - height * along
         arrows.append(np.array([centre, tip, back + across, tip, back - across]))
         words.append((text, tip + height * along, height))
+    words.append((f"{pattern.name}: {SIDE}", low - [0.0, 2.0 * height], height))
     return {"BLANK": pattern.blank, "TRIM": pattern.trim, "MARKS": arrows}, words

@@ -80,9 +80,8 @@ class ToolFile:
             where = f"{abs(gap):.3g} mm {side} the {'upper' if self.down else 'lower'} face of"
         size = "{:.4g} x {:.4g} x {:.4g} mm".format(*np.ptp(box, axis=0))
         size += f", {self.n_triangles} triangles, its middle at {position(box.mean(0)[:2])}"
-        tip = (
-            f"its {'lowest' if self.down else 'highest'} point at {position(end[:2] + part.place)}"
-        )
+        tip = f"its {'lowest' if self.down else 'highest'} point at"
+        tip = f"{tip} {position(end[:2] + part.place)}"
         lines = [(f"{part.name} from {self.name}", f"{size}, {tip}, {where} the sheet")]
         lines += [(f"{self.name} repaired", "; ".join(self.repairs))] * bool(self.repairs)
         warnings = [*self.warnings, *self._lost_in_opening(tools, outline, travel)]
