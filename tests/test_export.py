@@ -14,12 +14,12 @@ import pytest
 
 import quasiform as qf
 from quasiform.checks import InputError
+from quasiform.comparison.shells import read_shells
 from quasiform.console.cli import main
 from quasiform.fabric import TabulatedLaw
 from quasiform.handover import FORMATS, abaqus_deck, carry, export, flat_pattern, read_formed
 from quasiform.handover.handover import FILES
 from quasiform.handover.inp import moduli
-from quasiform.handover.target import read_target
 from quasiform.handover.tool_surface import from_scene_file, sampled
 from quasiform.result.files import FILES as RESULT_FILES
 from quasiform.scenes.scene_file import FOLDER, load
@@ -142,7 +142,7 @@ def test_directions_are_unit_and_tangent(tmp_path):
     part = read_formed(write_result(tmp_path / "r", dome))
     X, triangles, _ = mesh_of(17, 40.0)
     meshio.Mesh(dome(X), [("triangle", triangles)]).write(tmp_path / "fine.vtu")
-    for target in (None, read_target(tmp_path / "fine.vtu")):
+    for target in (None, read_shells(tmp_path / "fine.vtu")):
         fibres = carry(part, target)
         for axis in ("warp", "weft", "bisector"):
             v = getattr(fibres, axis)
@@ -171,7 +171,7 @@ def test_mapping_onto_a_finer_mesh_converges_to_the_field(tmp_path, kind):
     X, triangles, quads = mesh_of(41, 35.0)  # clear of the rim, where a mean is one-sided
     cells = [("triangle", triangles)] if kind == "triangles" else [("quad", quads)]
     meshio.Mesh(dome(X), cells).write(tmp_path / "fine.vtk")
-    target = read_target(tmp_path / "fine.vtk")
+    target = read_shells(tmp_path / "fine.vtk")
     at = X[triangles if kind == "triangles" else quads].mean(1)
     J, *fibres = exact(at)
     n = target.normals  # a coarse target has planes of its own
@@ -199,16 +199,16 @@ def test_elements_off_the_sheet_are_told_and_get_nothing(tmp_path):
     x = np.vstack([dome(X), dome(X) + np.array([0, 0, 300])])
     both = np.vstack([triangles, triangles[:, ::-1] + len(X)])
     meshio.Mesh(x, [("triangle", both)]).write(tmp_path / "m.vtu")
-    fibres = carry(part, read_target(tmp_path / "m.vtu"))
+    fibres = carry(part, read_shells(tmp_path / "m.vtu"))
     assert fibres.known.tolist() == [True] * 32 + [False] * 32
     assert np.isnan(fibres.warp[32:]).all()
     assert np.isnan(fibres.thickness[32:]).all()
     assert any("32 of 64 elements are farther" in notice for notice in fibres.notices)
-    wide = carry(part, read_target(tmp_path / "m.vtu"), within=400.0)
+    wide = carry(part, read_shells(tmp_path / "m.vtu"), within=400.0)
     assert wide.known.all()
     assert any("32 elements have their normal against" in notice for notice in wide.notices)
     meshio.Mesh(x * 1e-3, [("triangle", both)]).write(tmp_path / "metres.vtu")
-    metres = read_target(tmp_path / "metres.vtu", 1000.0)
+    metres = read_shells(tmp_path / "metres.vtu", 1000.0)
     np.testing.assert_allclose(carry(part, metres).area_ratio[:32], fibres.area_ratio[:32])
 
 

@@ -18,7 +18,7 @@ from ..result.summary import package_version
 from .differences import COLUMNS, Row, Rows, common_forces, matched, other_blank, own_values
 from .mapping import ANGLE, SIDES, WAYS
 from .place import aligned, unfolded
-from .read import SAME, Reading, Side, read_side
+from .read import Reading, Side, read_side
 
 if TYPE_CHECKING:
     from ..result.record import Record
@@ -208,15 +208,15 @@ def compare(
     limits = {"within": within, "travel": travel, "band_angle": band_angle}
     limits |= {"band_outline": band_outline, "band_force": band_force}
     for name, value in limits.items():
-        if value is not None:
-            check_number(name, value, zero_allowed=True)
+        check_number(name, 0.0 if value is None else value, zero_allowed=True)
     if "reference_travel" in reading:
         reading["travel"] = reading.pop("reference_travel")
     check_keys(reading, Reading.__dataclass_fields__, "compare")
     how = Reading(**reading)
     mine, other = read_side(result, Reading(signed=how.signed)), read_side(reference, how)
-    goal, notes = _common_travel(mine, other, travel)
-    sheet, theirs = _in_place(mine, other, goal, tuple(mirror), align, how.signed, notes)
+    ends = [side.end for side in (mine, other) if side.end is not None]
+    goal = min(ends, default=None) if travel is None else travel
+    sheet, theirs, notes = _in_place((mine, other), goal, mirror, align, how.signed)
     warnings, rows = other_blank(sheet, theirs), Rows(standing, notes)
     field = gamma = None
     if ANGLE in sheet.point_fields and ANGLE in theirs.point_fields:
@@ -229,12 +229,10 @@ def compare(
     rows.outlines(sheet, theirs, band_outline)
     forces = common_forces(mine, other, goal)
     rows.forces(forces, band_force)
-    for name, side in zip(SIDES, (mine, other), strict=True):
-        rows.energies(name, side, goal)
+    rows.energies((mine, other), goal)
     if not rows.rows:
-        raise InputError(
-            f"{other.name}: nothing in common to compare: no field of γ, outline or force"
-        )
+        words = "nothing in common to compare: no field of γ, outline or force"
+        raise InputError(f"{other.name}: {words}")
     for key, word, what in BANDS:
         if limits[key] is not None and not any(word in row.quantity for row in rows.rows):
             raise InputError(f"{other.name}: a band for the {what}, but there is none to compare")
@@ -247,57 +245,36 @@ def compare(
     return Comparison(*found, field, gamma, forces, locking)
 
 
-def _common_travel(mine: Side, other: Side, travel: float | None) -> tuple[float | None, list[str]]:
-    """Travel at which both are compared, and a note on where it is from."""
-    if travel is None:
-        travel = min((side.end for side in (mine, other) if side.end is not None), default=None)
-    if travel is None:
-        return None, ["no travel is known: the last states are compared"]
-    notes = [f"compared at {travel:.6g} mm of travel"]
-    for side in (mine, other):
-        if side.end is None:
-            notes.append(f"{side.name} names no travel: taken to be at {travel:.6g} mm")
-        elif side.end < travel - SAME * max(abs(travel), 1.0):
-            raise InputError(
-                f"{side.name}: travels do not overlap: it ends at {side.end:g} mm, asked for "
-                f"{travel:g}"
-            )
-    return travel, notes
-
-
 def _in_place(
-    mine: Side,
-    other: Side,
-    travel: float | None,
-    mirror: tuple[str, ...],
-    align: str,
-    signed: bool,
-    notes: list[str],
-) -> tuple[FormedSheet, FormedSheet]:
-    """Both sheets at a travel, the reference in its place."""
-    (sheet, words), (theirs, their_words) = mine.at(travel), other.at(travel)
+    sides: tuple[Side, Side], goal: float | None, mirror: Sequence[str], align: str, signed: bool
+) -> tuple[FormedSheet, FormedSheet, list[str]]:
+    """Both sheets at a travel, the reference in its place; what was done."""
+    mine, other = sides
+    notes = [f"compared at {goal or 0:.6g} mm of travel"]
+    if goal is None:
+        notes = ["no travel is known: the last states are compared"]
+    elif unknown := [side.name for side in sides if side.end is None]:
+        notes.append(f"{unknown[0]} names no travel: taken to be at {goal:.6g} mm")
+    (sheet, words), (theirs, their_words) = mine.at(goal), other.at(goal)
     notes += [f"result: {words}", f"reference: {their_words}", *other.notes]
     if mirror:
-        theirs = unfolded(theirs, mirror, signed)
+        theirs = unfolded(theirs, tuple(mirror), signed)
         notes.append(f"reference unfolded at {' and '.join(f'{p} = 0' for p in mirror)}")
     if align != "none":
         theirs, words = aligned(theirs, sheet, align == "rigid")
         notes.append(f"reference {words}")
     if mine.scene and other.scene and mine.scene != other.scene:
         notes.append(f"two scenes: {mine.scene} (result) and {other.scene} (reference)")
-    return sheet, theirs
+    return sheet, theirs, notes
 
 
 def _off_sheet(share: float, of_result: bool, align: str) -> list[str]:
     """Warn where little of the two sheets is compared."""
-    if share >= ON_SHEET:
-        return []
     tried = {"none": "shift", "shift": "rigid"}.get(align)
     remedy = f'try --align {tried} (align="{tried}"), or check' if tried else "check"
-    of = (
-        "the result's area is off the reference" if of_result else "the reference is off the result"
+    of = "the result's area is off the reference", "the reference is off the result"
+    words = (
+        f"{100 * (1 - share):.0f} % of {of[not of_result]} and left out: {remedy} its place, its"
     )
-    return [
-        f"{100 * (1 - share):.0f} % of {of} and left out: {remedy} its place, its unit (--scale) "
-        "and how far points may be off (--within)"
-    ]
+    words = f"{words} unit (--scale) and how far points may be off (--within)"
+    return [words] if share < ON_SHEET else []

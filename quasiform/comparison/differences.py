@@ -20,7 +20,7 @@ import numpy as np
 from ..checks import InputError
 from ..result.measures import percentile
 from ..result.sheet import FormedSheet
-from .mapping import ANGLE, WAYS, mapped, on_surface, way
+from .mapping import ANGLE, SIDES, WAYS, mapped, on_surface, way
 from .place import rim
 from .read import SAME, Side
 
@@ -161,20 +161,21 @@ class Rows:
             words = "force along the travel, root mean square of the largest"
             self.off(words, "%", 100 * np.sqrt(mean_square) / largest, band)
 
-    def energies(self, name: str, side: Side, travel: float | None) -> None:
-        """Add the ratio of kinetic to internal energy of an explicit run: at the end, at most."""
-        if not {"kinetic", "internal"} <= set(side.history):
-            return
-        kinetic, internal = side.history["kinetic"], side.history["internal"]
-        known = internal > EARLY * internal.max()
-        if travel is not None and "travel" in side.history:
-            known &= side.history["travel"] <= travel * (1 + SAME)
-        ratio = 100 * kinetic[known] / internal[known]
-        for words, values in (("at the end", ratio[-1:]), ("at most", ratio)):
-            if len(values):
-                quantity = f"kinetic by internal energy of the {name}, {words}"
-                row = Row(quantity, "%", None, None, None, self.standing)
-                self.rows.append(replace(row, **{name: float(values.max())}))
+    def energies(self, sides: tuple[Side, Side], travel: float | None) -> None:
+        """Add the ratio of kinetic to internal energy of explicit runs: at the end, at most."""
+        for name, side in zip(SIDES, sides, strict=True):
+            if not {"kinetic", "internal"} <= set(side.history):
+                continue
+            kinetic, internal = side.history["kinetic"], side.history["internal"]
+            known = internal > EARLY * internal.max()
+            if travel is not None and "travel" in side.history:
+                known &= side.history["travel"] <= travel * (1 + SAME)
+            ratio = 100 * kinetic[known] / internal[known]
+            for words, values in (("at the end", ratio[-1:]), ("at most", ratio)):
+                if len(values):
+                    quantity = f"kinetic by internal energy of the {name}, {words}"
+                    row = Row(quantity, "%", None, None, None, self.standing)
+                    self.rows.append(replace(row, **{name: float(values.max())}))
 
 
 def matched(

@@ -111,6 +111,7 @@ class Side:
             return self.sheets[near], f"its state at {s[near]:.6g} mm"
         if not s[0] <= travel <= s[-1]:
             own = f"has {s[0]:g} to {s[-1]:g} mm" if len(s) > 1 else f"is at {s[0]:g} mm"
+            own = f"ends at {s[-1]:g} mm" if travel > s[-1] else own
             words = f"travels do not overlap: it {own}, asked for {travel:g} mm"
             raise InputError(f"{self.name}: {words}")
         i = int(np.searchsorted(s, travel))
@@ -215,20 +216,15 @@ def _of_sheets(name: str, states: Sequence[FormedSheet], reading: Reading, where
         end = number == len(states) - 1
         return last if end else _understood(states[number], reading, where)[0]
 
+    # times are travels if nothing else is said
     times = states.travels if isinstance(states, Sheets) else [s.travel for s in states]
-    sheets = Sheets(_travels(times, reading), load)
-    return Side(name, sheets, _history(states[-1].loose), notes=notes)
-
-
-def _travels(times: Sequence[float | None], reading: Reading) -> tuple[float | None, ...]:
-    """Travels of states from their times, which are travels if nothing else is said."""
-    if len(times) == 1 and (times[0] is None or reading.travel is not None):
-        return (reading.travel,)
-    if reading.travel is None:
-        return tuple(times)
-    if not times[-1]:
-        raise InputError("the last state of the series is at time zero")
-    return tuple(time * reading.travel / times[-1] for time in times)
+    if reading.travel is not None and len(times) > 1:
+        if not times[-1]:
+            raise InputError("the last state of the series is at time zero")
+        times = [time * reading.travel / times[-1] for time in times]
+    elif reading.travel is not None:
+        times = [reading.travel]
+    return Side(name, Sheets(times, load), _history(states[-1].loose), notes=notes)
 
 
 def _understood(

@@ -1,15 +1,17 @@
-"""Shell elements with their labels, as structural codes number them, and their .inp files."""
+"""Shell elements with their labels, as structural codes number them, and their files."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from ..checks import InputError
+from ..checks import InputError, check_file, check_number, naming
+from ..result.sheet import CORNERS as CELLS
 from ..result.sheet import FormedSheet
+from ..tools.surface_file import read_mesh
 
 FloatArray = np.ndarray
 CORNERS = dict.fromkeys("S3 STRI3 STRI65 M3D3 SFM3D3 CPS3 CPE3 R3D3".split(), 3)
@@ -62,6 +64,33 @@ class Shells:
         """(n,) means, weighted by area, of (m,) values; nan where none is known."""
         triangles, rows = self.split()
         return FormedSheet(self.points, triangles).at_nodes(values[rows])
+
+
+def read_shells(path: str | Path, scale: float = 1.0) -> Shells:
+    """Read the shell elements of a structural mesh: .inp, or what meshio reads.
+
+    `scale` is mm per unit of its lengths. Of elements of higher order only the corners count.
+    """
+    path = Path(path)
+    with naming(path):
+        check_file(path)
+        check_number("scale", scale)
+        if path.suffix.lower() == ".inp":
+            shells = read_inp(path, ("INCLUDE", "INSTANCE"))
+        else:
+            mesh, rows = read_mesh(path), [np.empty((0, 4), dtype=int)]
+            for block in mesh.cells:
+                if corners := CELLS.get(block.type):
+                    cells = np.asarray(block.data)[:, :corners]
+                    rows.append(np.pad(cells, ((0, 0), (0, 4 - corners)), constant_values=-1))
+            shells = Shells.counted(mesh.points, np.concatenate(rows))
+        if not len(shells.elements):
+            raise InputError("no triangles or quadrilaterals")
+        if not np.isfinite(shells.points).all():
+            raise InputError("not all points are finite numbers")
+        shells = replace(shells, points=scale * shells.points)
+        shells.normals  # noqa: B018  (refuses an element without an area)
+        return shells
 
 
 def read_inp(path: Path, refused: tuple[str, ...] = ("INCLUDE",)) -> Shells:

@@ -8,7 +8,7 @@
 
 What a format or the model cannot carry is in `notices`, and in a file beside the others.
 
-One file an idea: `fibres` (directions by element), `target` (the user's mesh), `keywords`, `inp`,
+One file an idea: `fibres` (directions by element), `keywords`, `inp`,
 `drape` and `table` (their files), `deck`, `tool_surface`, `pattern`, `drawing`.
 """
 

@@ -34,27 +34,15 @@ def drape(fibres: Fibres, folder: Path, file: str, reference: FloatArray) -> tup
     along = "({:g}, {:g}, {:g})".format(*reference)
     notices = [NOTICES["tables_not_run"]]
     if (lost := steep & known).any():
-        notices.append(
-            f"{lost.sum()} elements stand across the reference direction and have no angle to it; "
-            "they are left out of the table: choose another reference"
-        )
-    notices.append(
-        f"the angles are from the direction {along} projected into the element; the thinning is "
-        "the thickness over that of the flat fabric"
-    )
-    header = [
-        f"Formed part of {fibres.name}; 1 warp plies, 2 weft plies, nominal angle 0",
-        f"Thinning t/t0; angle in degrees from {along} projected into the element",
-        *fibres.notices,
-    ]
+        notices.append(NOTICES["drape"]["across"].format(count=lost.sum()))
+    notices.append(NOTICES["drape"]["angles"].format(along=along))
     corners, kept = target.nodes[target.corners[:, :3]], known & ~steep
     columns = [v[kept] for v in (target.triangular, target.elements, fibres.thickness_ratio)]
     angles = {family: fibres.angle(family, projected)[kept] for family in FAMILIES}
     fill(
         file,
         folder / file,
-        header=header,
-        name=fibres.name,
+        **{"header": fibres.notices, "name": fibres.name, "along": along},
         nodes=list(zip(target.nodes, *target.points.T, strict=True)) if fibres.own else [],
         cells=list(zip(target.elements, *corners.T, strict=True)) if fibres.own else [],
         tables={k: list(zip(*columns, angle, strict=True)) for k, angle in angles.items()},

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -82,12 +81,9 @@ def write_svg(pattern: Drawing, path: Path) -> None:
 
 def write_csv(pattern: Drawing, path: Path) -> None:
     """Write the points of the lines: layer, number of the line in it, x, y."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(["layer", "loop", "x_mm", "y_mm"])
-        for layer, lines in (("TRIM", pattern.trim), ("BLANK", pattern.blank)):
-            for number, line in enumerate(lines):
-                writer.writerows([layer, number, f"{x:.6g}", f"{y:.6g}"] for x, y in line)
+    layers = {"TRIM": pattern.trim, "BLANK": pattern.blank}
+    text = render("pattern.csv", layers=layers).replace("\n", "\r\n")
+    path.write_text(text, encoding="utf-8", newline="")
 
 
 def _content(
@@ -98,7 +94,7 @@ def _content(
     low, high = points.min(0), points.max(0)
     size = float((high - low).max())
     height, centre, arrows = 0.02 * size, 0.5 * (low + high), []
-    words = [(f"{pattern.name}: {SIDE}", low - [0.0, 2.0 * height], height)]
+    words = []
     for along, text, length in zip(
         pattern.along, ("0° (warp)", "90° (weft)"), (ARROW, 0.6 * ARROW), strict=True
     ):
@@ -107,4 +103,5 @@ def _content(
         back = tip - height * along
         arrows.append(np.array([centre, tip, back + across, tip, back - across]))
         words.append((text, tip + height * along, height))
+    words.append((f"{pattern.name}: {SIDE}", low - [0.0, 2.0 * height], height))
     return {"BLANK": pattern.blank, "TRIM": pattern.trim, "MARKS": arrows}, words

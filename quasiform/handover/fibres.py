@@ -96,19 +96,17 @@ def read_formed(source: Any) -> Record:
 
 def limits_of(record: Record) -> tuple[str, ...]:
     """What makes the last sheet of a run doubtful."""
-    found = []
-    if record.summary.get("status") == "stopped":
-        found.append("the run stopped before its goal: the part is not fully formed")
-    if not record.certified:
-        found.append(f"the end state is not certified: {'; '.join(record.reasons)}")
     doubt = np.asarray(record.sheet.cell_fields.get("doubt", ())) > 0
-    if doubt.any():
-        found.append(
-            f"{doubt.sum()} of {len(doubt)} triangles of the result are marked doubtful "
-            "(field 'doubt': beyond the tests of the fabric, unstable, collapsed, or rovings may "
-            "slip); the mark is not in the files"
+    values = {"reasons": "; ".join(record.reasons), "some": doubt.sum(), "all": len(doubt)}
+    return tuple(
+        NOTICES["limits"][name].format(**values)
+        for name, doubtful in (
+            ("stopped", record.summary.get("status") == "stopped"),
+            ("not_certified", not record.certified),
+            ("doubt", doubt.any()),
         )
-    return tuple(found)
+        if doubtful
+    )
 
 
 def carry(record: Record, target: Shells | None = None, within: float | None = None) -> Fibres:

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..checks import InputError, suggestion
+from ..comparison.shells import read_shells
 from ..result.files import replaced
 from ..result.summary import package_version
 from . import drape, inp, table
 from .fibres import Fibres, carry, read_formed
 from .keywords import NOTICES, write_notices
-from .target import read_target
 
 if TYPE_CHECKING:
     from ..result.record import Record
@@ -103,9 +103,15 @@ def export(
     """
     if to not in FORMATS:
         raise InputError(f"unknown format '{to}': {suggestion(to, FORMATS)}")
-    direction = _direction(reference)
+    try:
+        direction = np.array([*map(float, reference)])
+    except (TypeError, ValueError):
+        direction = np.zeros(0)
+    if direction.shape != (3,) or not 0 < np.linalg.norm(direction) < np.inf:
+        raise InputError(f"reference must be a direction of three numbers, got {reference!r}")
+    direction /= np.linalg.norm(direction)
     record = read_formed(source)
-    fibres = carry(record, None if mesh is None else read_target(mesh, scale), within)
+    fibres = carry(record, None if mesh is None else read_shells(mesh, scale), within)
     writers: dict[str, Callable[[Path], tuple[str, ...]]] = {
         "abaqus": lambda folder: inp.abaqus(fibres, folder),
         "abaqus-pair": lambda folder: inp.abaqus(fibres, folder, pair=True),
@@ -122,13 +128,3 @@ def export(
         files = tuple(sorted(path.name for path in folder.iterdir()))
     general = tuple(notice for notice in notices if notice in GENERAL)
     return Handover(Path(out), files, notices, fibres, general)
-
-
-def _direction(reference: Sequence[float]) -> np.ndarray:
-    try:
-        vector = np.asarray(reference, dtype=float)
-    except (TypeError, ValueError):
-        vector = np.zeros(0)
-    if vector.shape != (3,) or not np.isfinite(vector).all() or not np.linalg.norm(vector) > 0:
-        raise InputError(f"reference must be a direction of three numbers, got {reference!r}")
-    return vector / np.linalg.norm(vector)

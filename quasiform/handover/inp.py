@@ -65,15 +65,8 @@ def calculix(fibres: Fibres, folder: Path, axis: str = "warp") -> tuple[str, ...
         frame=_frame(fibres, axis),
         **{"axis": axis, "E": E, "shear": shear},
     )
-    largest = float(np.abs(fibres.shear_angle[fibres.known]).max())
-    other = {"warp": "weft", "weft": "warp"}.get(axis)
-    frame = (
-        f"one orthogonal frame an element: local 1 is the {axis}, and the {other} is up to "
-        f"{largest:.1f}° off local 2 (the shear angle), which this frame cannot carry"
-        if other
-        else "one orthogonal frame an element, along the bisector: the constants of a sheared "
-        f"fabric differ with its angle (up to {largest:.1f}°), those written are of one"
-    )
+    angle = f"{np.abs(fibres.shear_angle[fibres.known]).max():.1f}°"
+    frame = NOTICES["frame_along"][axis].format(angle=angle)
     return *(NOTICES[name] for name in ("stand_in", "at_nodes", "one_each")), frame
 
 

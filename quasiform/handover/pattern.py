@@ -155,10 +155,9 @@ def _curves(trim: Line, scale: float) -> list[FloatArray]:
         loop = table.get("loop", np.zeros(len(points)))
         curves = [points[loop == number] for number in dict.fromkeys(loop.tolist())]
     else:
-        try:
+        curves = [np.empty(0)]
+        with suppress(TypeError, ValueError):
             curves = [np.asarray(trim, dtype=float)]
-        except (TypeError, ValueError):
-            curves = [np.empty(0)]
     found = []
     for curve in curves:
         if curve.ndim != 2 or curve.shape[1] not in (2, 3) or not np.isfinite(curve).all():
@@ -177,7 +176,8 @@ def _mapped(
     import shapely
 
     size = spacing(sheet)
-    points = _dense(curve, STEP * size)
+    dense = shapely.segmentize(shapely.LinearRing(curve), STEP * size)
+    points = shapely.get_coordinates(dense, include_z=True)[:-1]
     flat, distance = on_surface(sheet.flat, sheet, points)
     if distance.min() > reach:
         raise InputError(
@@ -185,10 +185,8 @@ def _mapped(
             f"{distance.min():.3g} mm away: are its place and its unit (scale) those of the part?"
         )
     _, corners, nearest = closest(points, sheet)
-    n = normals_of(sheet.points[corners])
-    n /= np.linalg.norm(n, axis=1)[:, None]
-    arm = points - nearest
-    aside = np.linalg.norm(arm - (arm * n).sum(1)[:, None] * n, axis=1)
+    n, arm = normals_of(sheet.points[corners]), points - nearest
+    aside = np.linalg.norm(np.cross(arm, n), axis=1) / np.linalg.norm(n, axis=1)
     at_edge = shapely.distance(shapely.points(flat), shapely.MultiLineString(edges))
     at_edge = at_edge < 1e-6 * np.ptp(sheet.flat)
     left = (distance > reach) | (at_edge & (aside > ASIDE * size))
@@ -209,15 +207,6 @@ def _mapped(
             "folds there, or the line is far from it"
         )
     return closed
-
-
-def _dense(curve: FloatArray, step: float) -> FloatArray:
-    """Points of a closed line, none farther from the next than `step`."""
-    sides = np.roll(curve, -1, axis=0) - curve
-    counts = np.maximum(np.ceil(np.linalg.norm(sides, axis=1) / step).astype(int), 1)
-    side = np.repeat(np.arange(len(curve)), counts)
-    number = np.arange(len(side)) - np.repeat(np.cumsum(counts) - counts, counts)
-    return curve[side] + (number / counts[side])[:, None] * sides[side]
 
 
 def _seen(sheet: FormedSheet, plan: shapely.Polygon, notices: list[str]) -> list[FloatArray]:

@@ -21,11 +21,8 @@ def table(fibres: Fibres, folder: Path) -> tuple[str, ...]:
     side = target.points[target.corners[:, 1]] - target.points[target.corners[:, 0]]
     values = {"thickness_mm": fibres.thickness}
     values |= {f"theta_{axis}_deg": fibres.angle(axis, side) for axis in AXES}
-    values |= {
-        "thickness_ratio": fibres.thickness_ratio,
-        "areal_weight_g_per_m2": fibres.areal_weight,
-        "shear_angle_deg": fibres.shear_angle,
-    }
+    values |= {"thickness_ratio": fibres.thickness_ratio}
+    values |= {"areal_weight_g_per_m2": fibres.areal_weight, "shear_angle_deg": fibres.shear_angle}
     vectors = {f"{c}_mm": column for c, column in zip("xyz", target.centroids.T, strict=True)}
     for axis in AXES:
         vectors |= dict(zip([f"{axis}_{c}" for c in "xyz"], getattr(fibres, axis).T, strict=True))

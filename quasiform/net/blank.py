@@ -292,18 +292,15 @@ def check_unit(across: float, scale: float) -> None:
     """Refuse (InputError) a blank of a few mm or many metres across: its unit is probably wrong."""
     if not SMALLEST <= across <= LARGEST:
         unit, factor = ("metres", 1000.0) if across < SMALLEST else ("micrometres", 1e-3)
-        raise InputError(
-            f"the blank is {across:.3g} mm across: is it in {unit}? set scale = {factor * scale:g}"
-        )
+        remedy = f"is it in {unit}? set scale = {factor * scale:g}"
+        raise InputError(f"the blank is {across:.3g} mm across: {remedy}")
 
 
 def _check_count(size: float, length: float, width: float, area: float) -> None:
     # a cell of the net outside the outline costs a tenth of one inside
     if not max(2 * area, 0.2 * length * width) < MOST_TRIANGLES * size**2:
-        raise InputError(
-            f"size {size:g} mm on {length:g} x {width:g} mm makes more than "
-            f"{MOST_TRIANGLES:.0e} triangles: choose a larger size"
-        )
+        words = f"makes more than {MOST_TRIANGLES:.0e} triangles: choose a larger size"
+        raise InputError(f"size {size:g} mm on {length:g} x {width:g} mm {words}")
 
 
 def _mirrored_part(
@@ -321,9 +318,8 @@ def _mirrored_part(
         flip["xy".index(plane)], half["xy".index(plane)] = -1.0, 0.0
         image = shapely.transform(outline, lambda p, flip=flip: p * flip)
         if outline.symmetric_difference(image).area > 0.01 * size * outline.length:
-            raise InputError(
-                f"the outline is not symmetric to {plane} = 0: leave '{plane}' out of mirror"
-            )
+            remedy = f"leave '{plane}' out of mirror"
+            raise InputError(f"the outline is not symmetric to {plane} = 0: {remedy}")
         part = part.intersection(shapely.box(*half))
     pieces = [piece for piece in shapely.get_parts(part) if piece.area > 0]
     if len(pieces) != 1:
@@ -335,8 +331,7 @@ def _corners(ring: FloatArray, size: float) -> FloatArray:
     """(n, 2) vertices of a ring where it turns by more than 20°, the sharpest first."""
     import shapely
 
-    outline = shapely.simplify(shapely.LinearRing(ring), 0.02 * size)
-    points = shapely.get_coordinates(outline)[:-1]
+    points = shapely.get_coordinates(shapely.simplify(shapely.LinearRing(ring), 0.02 * size))[:-1]
     along = np.roll(points, -1, axis=0) - points
     into = np.roll(along, 1, axis=0)
     cross = into[:, 0] * along[:, 1] - into[:, 1] * along[:, 0]
@@ -397,8 +392,6 @@ def _in_one_part(blank: Blank, outline: shapely.Polygon, size: float) -> Blank:
     missing = abs(outline.area - blank.areas.sum()) > CLOSE * size * outline.length
     if len(bad) or missing:
         at = position(bad[0] if len(bad) else outline.centroid.coords[0])
-        raise InputError(
-            f"size {size:g} mm is too large for the outline near {at}: it is narrower there than "
-            "the spacing of the fibre lines"
-        )
+        words = "it is narrower there than the spacing of the fibre lines"
+        raise InputError(f"size {size:g} mm is too large for the outline near {at}: {words}")
     return blank

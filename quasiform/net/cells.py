@@ -22,6 +22,7 @@ from ..checks import InputError
 
 FloatArray = np.ndarray
 IntArray = np.ndarray
+CROSSED = "the outline crosses itself between fibre lines: choose a smaller size"
 
 
 def cut_net(
@@ -107,11 +108,10 @@ def _fitted(
         if len(loop) < 3:
             extent = np.ptp(ring, axis=0)
             if k == 0 or extent.max() > 2 * near:
-                what = f"hole {k}" if k else "outline"
-                raise InputError(
-                    f"the {what}, {extent.max():.3g} mm long, is too narrow for the spacing of the "
-                    "fibre lines: choose a smaller size" + (" or fill the hole" if k else "")
-                )
+                what = f"the {f'hole {k}' if k else 'outline'}, {extent.max():.3g} mm long,"
+                remedy = "choose a smaller size" + " or fill the hole" * (k > 0)
+                words = "is too narrow for the spacing of the fibre lines"
+                raise InputError(f"{what} {words}: {remedy}")
             continue
         loops[k] = np.array(loop)
         points.append(snapped[~on_node])
@@ -248,9 +248,7 @@ def _faces(rim: list[int], segments: list[tuple[int, int]], points: FloatArray) 
             w = ends[v][0] if len(ends[v]) == 1 else min(ends[v], key=lambda w: turn(u, v, w))
             u, v = v, w
             if len(face) > len(rim) + len(segments):
-                raise InputError(
-                    "the outline crosses itself between fibre lines: choose a smaller size"
-                )
+                raise InputError(CROSSED)
         faces.append(face)
     return faces
 
@@ -310,5 +308,5 @@ def _best(face: list[int], points: FloatArray) -> IntArray:
 
     value, triangles = best(0, len(face) - 1)
     if value <= 0:
-        raise InputError("the outline crosses itself between fibre lines: choose a smaller size")
+        raise InputError(CROSSED)
     return np.array(face)[np.array(triangles)]

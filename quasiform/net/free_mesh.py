@@ -64,9 +64,8 @@ def triangulate(outline: shapely.Polygon, size: float, orientation: float = 0.0)
     finally:
         gmsh.finalize()
     order = np.argsort(tags)
-    used, triangles = np.unique(
-        order[np.searchsorted(tags, corners, sorter=order)], return_inverse=True
-    )
+    found = order[np.searchsorted(tags, corners, sorter=order)]
+    used, triangles = np.unique(found, return_inverse=True)
     nodes = places.reshape(-1, 3)[used, :2]
     return _blank(nodes, triangles.reshape(-1, 3), np.zeros((0, 4), dtype=int), orientation)
 

@@ -63,10 +63,8 @@ def with_holes(outline: shapely.Polygon, holes: Iterable[shapely.Polygon]) -> sh
     for k, hole in enumerate(holes, 1):
         if not outline.contains_properly(hole):
             at = position(hole.centroid.coords[0])
-            raise InputError(
-                f"hole {k} near {at} does not lie inside the outline, clear of its edge and of "
-                "other holes"
-            )
+            words = "does not lie inside the outline, clear of its edge and of other holes"
+            raise InputError(f"hole {k} near {at} {words}")
         outline = outline.difference(hole)
     return outline
 
@@ -88,9 +86,8 @@ def read_outline(path: str | Path, scale: float = 1.0) -> shapely.Polygon:
     with naming(path):
         check_number("scale", scale)
         if kind not in (known := (".dxf", *KINDS, *TABLES)):
-            raise InputError(
-                f"unknown kind of outline '{kind}': expected one of {', '.join(known)}"
-            )
+            expected = f"expected one of {', '.join(known)}"
+            raise InputError(f"unknown kind of outline '{kind}': {expected}")
         check_file(path)
         if kind == ".dxf":
             outline = _from_lines(_drawn(path, scale), GAP)
@@ -100,9 +97,13 @@ def read_outline(path: str | Path, scale: float = 1.0) -> shapely.Polygon:
                 raise InputError("not all coordinates are finite numbers")
             outline = _loop(scale * points)
         else:
-            outline = _from_lines(_rim(*read_surface(path, scale)), 0.0)
-        low_x, low_y, high_x, high_y = outline.bounds
-        check_unit(max(high_x - low_x, high_y - low_y), scale)
+            vertices, triangles = read_surface(path, scale)
+            height = np.ptp(vertices[:, 2])
+            if height > 1e-3 * np.ptp(vertices, axis=0).max():
+                raise InputError(f"the surface is not flat: its z spans {height:.3g} mm")
+            edges, count, _ = edges_of(triangles)
+            outline = _from_lines(list(vertices[np.sort(edges[count == 1], axis=1), :2]), 0.0)
+        check_unit(np.ptp(np.reshape(outline.bounds, (2, 2)), axis=0).max(), scale)
     return outline
 
 
@@ -124,18 +125,9 @@ def _drawn(path: Path, scale: float) -> list[FloatArray]:
                 points = np.array([p.vec2 for p in curve.flattening(CHORD / scale)], dtype=float)
                 lines.append(scale * points.reshape(-1, 2))
     except Exception as error:  # any that the parser raises
-        reason = " ".join(str(error).replace(f"'{path}'", "it").split())
-        reason = reason or type(error).__name__
+        reason = " ".join(str(error).replace(f"'{path}'", "it").split()) or type(error).__name__
         raise InputError(f"not a readable .dxf file: {reason}") from error
     return lines
-
-
-def _rim(vertices: FloatArray, triangles: np.ndarray) -> list[FloatArray]:
-    """Edges (2, 2) that belong to one triangle only, of a flat mesh."""
-    if np.ptp(vertices[:, 2]) > 1e-3 * np.ptp(vertices, axis=0).max():
-        raise InputError(f"the surface is not flat: its z spans {np.ptp(vertices[:, 2]):.3g} mm")
-    edges, count, _ = edges_of(triangles)
-    return list(vertices[np.sort(edges[count == 1], axis=1), :2])
 
 
 def _from_lines(lines: list[FloatArray], gap: float) -> shapely.Polygon:
@@ -160,9 +152,8 @@ def _from_lines(lines: list[FloatArray], gap: float) -> shapely.Polygon:
             continue  # drawn twice
         at = position(loop.centroid.coords[0])
         if not outline.contains_properly(loop):
-            raise InputError(
-                f"more than one outline: a second loop near {at} does not lie inside the largest"
-            )
+            words = f"a second loop near {at} does not lie inside the largest"
+            raise InputError(f"more than one outline: {words}")
         if any(hole.intersects(loop) for hole in holes):
             raise InputError(f"a loop lies inside or across another hole near {at}")
         holes.append(loop)
@@ -193,11 +184,9 @@ def _open_end(lines: np.ndarray) -> str:
     if len(free) < 2:
         return f"lines branch at {position(points[times.argmax()])}: expected closed loops"
     distance, nearest = cKDTree(free).query(free, k=2)
-    at = distance[:, 1].argmin()
-    return (
-        f"no closed loop: gap of {distance[at, 1]:.3g} mm between {position(free[at])} and "
-        f"{position(free[nearest[at, 1]])}"
-    )
+    gap, k = min(zip(distance[:, 1], range(len(free)), strict=True))
+    ends = f"{position(free[k])} and {position(free[nearest[k, 1]])}"
+    return f"no closed loop: gap of {gap:.3g} mm between {ends}"
 
 
 def _loop(points: FloatArray) -> shapely.Polygon:
@@ -208,9 +197,8 @@ def _loop(points: FloatArray) -> shapely.Polygon:
     nothing = 1e-9 * loop.length**2
     place = re.search(r"\[(\S+) (\S+)\]", shapely.is_valid_reason(loop))
     if place and shapely.convex_hull(loop).area > nothing:
-        raise InputError(
-            f"the outline crosses itself at {position([float(x) for x in place.groups()])}"
-        )
+        at = position([float(x) for x in place.groups()])
+        raise InputError(f"the outline crosses itself at {at}")
     if not loop.is_valid or loop.area <= nothing:
         raise InputError("the outline encloses no area")
     return shapely.orient_polygons(loop)

@@ -142,15 +142,25 @@ def surface_grid(
     high = np.minimum(high, vertices.max(0) + margin)
     if (low >= high).any():
         box = " to ".join(f"{position(end)} mm" for end in (vertices.min(0), vertices.max(0)))
-        raise InputError(
-            f"the tool is nowhere near the sheet, it spans {box}: check origin, rotate and scale"
-        )
+        remedy = "check origin, rotate and scale"
+        raise InputError(f"the tool is nowhere near the sheet, it spans {box}: {remedy}")
     cells = np.ceil(((high - low) / h + 2 * PAD) / 9).astype(int)
     if (nodes := np.prod(9.0 * cells + 1.0)) > MOST_NODES:
         at_least = h * (nodes / MOST_NODES) ** (1 / 3)
         raise InputError(f"grid of {nodes:.1e} nodes: set spacing = {at_least:.2g} or more")
     grid = SurfaceGrid(low, high, h, _coefficients(vertices, triangles, low - PAD * h, h, cells))
-    _check_shown(grid, vertices, triangles)
+    corners = vertices[triangles]
+    centres, normals = corners.mean(1), normals_of(corners)
+    covered = ((centres > low) & (centres < high)).all(1)
+    centres, normals = centres[covered], normals[covered]
+    area = np.linalg.norm(normals, axis=1)
+    along = np.einsum("pi,pi->p", grid.distance(centres)[1], normals)
+    lost = np.where(along < LOST * area, area, 0.0)
+    if lost.sum() > 0.01 * area.sum():
+        raise InputError(
+            f"walls, gaps or bodies in each other that a grid of {h:g} mm cannot show, for one at "
+            f"{position(centres[lost.argmax()])} mm: set a smaller spacing"
+        )
     return grid
 
 
@@ -173,22 +183,6 @@ def _coefficients(
             nodes = np.stack(np.unravel_index(part, shape), -1) * (step * h) + first
             d.flat[part] = _signed_distance(nodes, *surface)
     return spline_filter(d, mode="mirror")
-
-
-def _check_shown(grid: SurfaceGrid, vertices: FloatArray, triangles: np.ndarray) -> None:
-    """Refuse a grid whose n does not point along the normals of nearly all triangles in it."""
-    corners = vertices[triangles]
-    centres, normals = corners.mean(1), normals_of(corners)
-    covered = ((centres > grid.low) & (centres < grid.high)).all(1)
-    centres, normals = centres[covered], normals[covered]
-    _, n, _ = grid.distance(centres)
-    area = np.linalg.norm(normals, axis=1)
-    lost = np.where(np.einsum("pi,pi->p", n, normals) < LOST * area, area, 0.0)
-    if lost.sum() > 0.01 * area.sum():
-        raise InputError(
-            f"walls, gaps or bodies in each other that a grid of {grid.spacing:g} mm cannot show, "
-            f"for one at {position(centres[lost.argmax()])} mm: set a smaller spacing"
-        )
 
 
 def _signed_distance(
@@ -241,10 +235,9 @@ def check_surface(
         start, end = vertices[ring], vertices[np.roll(ring, -1)]
         along = start + np.linspace(0.0, 1.0, 20)[:, None, None] * (end - start)
         if low is None or high is None or ((along > low) & (along < high)).all(-1).any():
-            raise InputError(
-                f"a hole of {len(ring)} edges, {np.ptp(start, axis=0).max():.3g} mm across, around "
-                f"{position(start.mean(0))} mm: close it ({REMEDY})"
-            )
+            hole = f"a hole of {len(ring)} edges, {np.ptp(start, axis=0).max():.3g} mm across"
+            at = position(start.mean(0))
+            raise InputError(f"{hole}, around {at} mm: close it ({REMEDY})")
 
 
 def check_size(size: float, reach: float, scale: float = 1.0) -> None:

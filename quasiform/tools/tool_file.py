@@ -80,9 +80,8 @@ class ToolFile:
             where = f"{abs(gap):.3g} mm {side} the {'upper' if self.down else 'lower'} face of"
         size = "{:.4g} x {:.4g} x {:.4g} mm".format(*np.ptp(box, axis=0))
         size += f", {self.n_triangles} triangles, its middle at {position(box.mean(0)[:2])}"
-        tip = (
-            f"its {'lowest' if self.down else 'highest'} point at {position(end[:2] + part.place)}"
-        )
+        tip = f"its {'lowest' if self.down else 'highest'} point at"
+        tip = f"{tip} {position(end[:2] + part.place)}"
         lines = [(f"{part.name} from {self.name}", f"{size}, {tip}, {where} the sheet")]
         lines += [(f"{self.name} repaired", "; ".join(self.repairs))] * bool(self.repairs)
         warnings = [*self.warnings, *self._lost_in_opening(tools, outline, travel)]
@@ -120,11 +119,9 @@ class ToolFile:
         """What may have put it into the flat sheet, and what corrects it."""
         if self.warnings:
             return f"{self.name}: {self.warnings[0]}"
-        flip = f"set flip = {str(not self.file.flip).lower()}"
-        if self.part.z is None:
-            return flip
-        where = "on" if self.down else "under"
-        return f"check its z, {self.rest:.4g} puts it {where} the sheet, or {flip}"
+        where = f"{self.rest:.4g} puts it {'on' if self.down else 'under'} the sheet"
+        place = "" if self.part.z is None else f"check its z, {where}, or "
+        return f"{place}set flip = {str(not self.file.flip).lower()}"
 
 
 def read(part: ToolPart, outline: shapely.Polygon, travel: float, thickness: float) -> ToolFile:
@@ -147,7 +144,17 @@ def read(part: ToolPart, outline: shapely.Polygon, travel: float, thickness: flo
     across = float(np.ptp(np.reshape(outline.bounds, (2, 2)), axis=0).max())
     with naming(file.path):
         surface.check_size(np.ptp(vertices, axis=0).max(), across, file.scale)
-        _check_over_sheet(vertices[:, :2] + part.place, file, outline, reach)
+        plan, sheet = vertices[:, :2] + part.place, np.reshape(outline.bounds, (2, 2))
+        tool = np.stack([plan.min(0), plan.max(0)])
+        beside = max(10.0, surface.MARGIN * (file.spacing or surface.SPACING))
+        if (tool[0] - beside >= reach).any() or (tool[1] + beside <= -reach).any():
+            words = "x {:.4g} to {:.4g}, y {:.4g} to {:.4g} mm"
+            at, there = (words.format(*box.T.ravel()) for box in (tool, sheet))
+            moved = file.moved_origin(*(tool - sheet).mean(0))
+            raise InputError(
+                f"the tool is nowhere near the sheet: it lies at {at}, the sheet at {there}; "
+                f"{moved} puts it over the middle of the sheet"
+            )
         grid = surface.surface_grid(
             vertices, triangles, low, high, file.spacing, across, file.scale, file.flip
         )
@@ -193,21 +200,3 @@ def _orientation_warnings(
     flip = f"inside out? flip = {str(not file.flip).lower()}; or upside down? {upside_down}"
     away = up * (1 if role == "die" else -1) < 0
     return [f"its normals point away from the sheet: {flip}"] if away else []
-
-
-def _check_over_sheet(
-    plan: FloatArray, file: SurfaceFile, outline: shapely.Polygon, reach: FloatArray
-) -> None:
-    low, high = tool = np.stack([plan.min(0), plan.max(0)])
-    beside = max(10.0, surface.MARGIN * (file.spacing or surface.SPACING))
-    if (low - beside < reach).all() and (high + beside > -reach).all():
-        return
-    sheet = np.reshape(outline.bounds, (2, 2))
-    at = [
-        "x {:.4g} to {:.4g}, y {:.4g} to {:.4g} mm".format(*box.T.ravel()) for box in (tool, sheet)
-    ]
-    moved = file.moved_origin(*(tool - sheet).mean(0))
-    raise InputError(
-        f"the tool is nowhere near the sheet: it lies at {at[0]}, the sheet at {at[1]}; {moved} "
-        "puts it over the middle of the sheet"
-    )
