@@ -15,6 +15,7 @@ from quasiform.fingerprint import fingerprint
 from quasiform.potential import Potential
 from quasiform.solve.equilibrium import Equilibrium
 from quasiform.solve.linear import SuperLU
+from quasiform.solve.proximal import Bed
 
 
 def strip(**given):
@@ -173,6 +174,29 @@ def test_stencils_may_change_at_a_refresh():
     equations.refresh(model.x0)  # back again: covered
     assert equations.potential.pattern is pattern
     assert qf.solve(model, estimate=False).certified
+
+
+def test_stencils_may_change_while_a_term_is_added_for_the_time_being():
+    model = strip()
+    y = model.sheet.blank.nodes[:, 1]
+    lower, upper = np.flatnonzero(np.isclose(y, y.min())), np.flatnonzero(np.isclose(y, y.max()))
+    model.terms.append(NearestSpring(model.sheet, lower, upper, 1e-4))
+    equations, x = Equilibrium(model), model.x0.copy()
+    moved = x.copy()
+    moved[model.sheet.dofs[upper, 0]] += 37.0
+    equations.refresh(moved)  # the pattern grows, and keeps what it has
+    equations.refresh(x)
+    with equations.with_term(Bed(np.ones(len(x)))):
+        equations.factor(x, 1.0)
+        equations.refresh(moved)
+        equations.factor(x, 1.0)
+    g = equations.gradient(moved)[equations.free]
+    equations.factor(moved, 1.0)
+    solved = equations.tangent.solve(g)
+    fresh = Equilibrium(model)
+    fresh.take(equations.memory)
+    fresh.factor(moved, 1.0)
+    assert_allclose(solved, fresh.tangent.solve(g), rtol=1e-6, atol=1e-9 * np.abs(solved).max())
 
 
 # The table of unknowns

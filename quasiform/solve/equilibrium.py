@@ -86,13 +86,13 @@ class Equilibrium:
         """Add a term of diagonal Hessian to the potential for the time being."""
         own, self.memory = self.potential, (*self.memory, None)
         self.potential = Potential([*own.terms, term], self.free, self.memory)
-        self.tangent.forget(self.potential)
+        self.tangent.take(self.potential)
         try:
             yield
         finally:
             self.potential, self.memory = own, self.memory[:-1]
             own.follow(self.memory)
-            self.tangent.forget(own)
+            self.tangent.take(own)
 
     def gradient(self, x: FloatArray) -> FloatArray:
         """(n_dofs,) derivative of the potential with the present states, N."""

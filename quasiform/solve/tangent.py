@@ -36,9 +36,17 @@ class Tangent:
             self.solver = linear_solver(self._linear, self.potential.pattern, self._places)
         self._factored = None
 
-    def forget(self, potential: Potential | None = None) -> None:
-        """The last factor serves no more; take another potential of the same pattern, if given."""
-        self.potential, self._factored = potential or self.potential, None
+    def forget(self) -> None:
+        """The last factor is of no use any more."""
+        self._factored = None
+
+    def take(self, potential: Potential) -> None:
+        """Take another potential, and analyse its pattern if that is another one."""
+        old, new = self.potential.pattern, potential.pattern
+        same = np.array_equal(old.indptr, new.indptr) and np.array_equal(old.indices, new.indices)
+        self.potential, self._factored = potential, None
+        if not same:
+            self.solver = linear_solver(self._linear, new, self._places)
 
     def factor(
         self, x: FloatArray, memory: Memory, convex: float, **given: FloatArray | None
