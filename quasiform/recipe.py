@@ -7,6 +7,7 @@ for it, and the changes that a user has made, each a function of the model.
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import singledispatch
@@ -71,7 +72,7 @@ class Recipe:
         """Return the recipe that was written down; InputError if it is none or lacks a part."""
         try:
             given = tuple((name, _live(value)) for name, value in written["given"].items())
-            changes = tuple(_found(name) for name in written["changes"])
+            changes = tuple(_found(name, ours=False) for name in written["changes"])
             return Recipe(_found(written["builder"]), given, float(written["size"]), changes)
         except InputError:
             raise
@@ -110,13 +111,20 @@ def reference(function: Callable[..., Any]) -> str:
     return f"{module}:{name}"
 
 
-def _found(reference: str) -> Callable[..., Any]:
+def _found(reference: str, ours: bool = True) -> Callable[..., Any]:
+    """Function of that name: one of this package, or a user's own that is imported already.
+
+    So a record from a stranger calls nothing else.
+    """
     module, _, name = reference.partition(":")
+    package = module.partition(".")[0]
+    if package != __package__ and (
+        ours or package in sys.stdlib_module_names or module not in sys.modules
+    ):
+        raise InputError(f"'{reference}' is not called: import its module first, from Python")
     found: Any = import_module(module)
     for part in name.split("."):
         found = getattr(found, part)
-    if not callable(found):
-        raise InputError(f"'{reference}' is not a function")
     return found
 
 
@@ -128,7 +136,7 @@ def plain(value: Any) -> Any:
 
 @plain.register
 def _(value: Path) -> dict[str, Any]:
-    return {"read": reference(Path), "from": str(value)}
+    return {"path": str(value)}
 
 
 @plain.register
@@ -137,4 +145,6 @@ def _(value: Fabric) -> dict[str, Any]:
 
 
 def _live(value: Any) -> Any:
-    return _found(value["read"])(value["from"]) if isinstance(value, dict) else value
+    if not isinstance(value, dict):
+        return value
+    return Path(value["path"]) if "path" in value else _found(value["read"])(value["from"])

@@ -376,6 +376,18 @@ def test_change_that_no_other_process_finds_is_refused_when_written():
         model.recipe.written()
 
 
+@pytest.mark.parametrize("name", ["os:abort", "subprocess:run", "not_imported:change"])
+def test_recipe_from_a_stranger_calls_nothing_else(name):
+    written = strip().recipe.written()
+    for bad in (
+        written | {"builder": name},
+        written | {"changes": [name]},
+        written | {"given": written["given"] | {"fabric": {"read": name, "from": "x"}}},
+    ):
+        with pytest.raises(qf.InputError, match="is not called: import its module first"):
+            qf.Recipe.read(bad)
+
+
 def test_hand_built_model_has_no_recipe():
     model = strip()
     model.recipe = None

@@ -247,8 +247,8 @@ class _Steps:
         self.target = goal if s + step * (1 + 1e-6) >= goal else s + step
         before = run.equations.tangent.factorisations
         finest = run.settings.increment is not None or self.target - s <= self.largest / 16
-        rungs = [proximal] * bool(step <= CREEPING * self.largest)
-        rungs += [dynamic_relaxation] * bool(step <= self.shortest)
+        rungs = [("proximal", proximal)] * bool(step <= CREEPING * self.largest)
+        rungs += [("dynamic relaxation", dynamic_relaxation)] * bool(step <= self.shortest)
         try:
             run.advance(self.target, rungs, weigh=not finest)
         except (NotConvergedError, TooCoarseError) as error:

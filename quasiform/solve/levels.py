@@ -233,13 +233,14 @@ def carried(
 ) -> Memory:
     """Bring the states of the terms to another mesh, each by its own rule; see `transferred`."""
     old, end = coarse.model, coarse.states[-1]
-    known = {
-        term.name: Standing(term, old.unknowns, state, end.x, end.x - last)
-        for term, state in zip(old.terms, coarse.memory, strict=True)
-    }
+    known: dict[str, list[Standing]] = {}  # several terms may have one name: in their order
+    for term, state in zip(old.terms, coarse.memory, strict=True):
+        was = Standing(term, old.unknowns, state, end.x, end.x - last)
+        known.setdefault(term.name, []).append(was)
     states = []
     for term in model.terms:
-        was, now = known.get(term.name), Standing(term, model.unknowns, None, x, before)
+        was = known[term.name].pop(0) if known.get(term.name) else None
+        now = Standing(term, model.unknowns, None, x, before)
         states.append(term.carried(was and was.state, was, now))
     return tuple(states)
 

@@ -29,7 +29,7 @@ from .relaxation import relax
 MOST_RELAXED = 60_000  # iterations of a run by dynamic relaxation alone
 WEIGHED = 5e-3  # of the work to come: what an increment may miss by the trapezoidal rule
 
-Rung = Callable[["Run", float], FloatArray]
+Rung = tuple[str, Callable[["Run", float], FloatArray]]  # its name, and what it does
 
 
 @dataclass(frozen=True)
@@ -183,10 +183,10 @@ class Run:
         except NotConvergedError as error:
             failed = error
         damped = self.account.damped
-        for rung in rungs:
+        for name, rung in rungs:
             self.back()
             self.account.damped = damped
-            self.account.count(rung.__name__.replace("_", " "))
+            self.account.count(name)
             with suppress(NotConvergedError):
                 return self._solve(rung(self, target))
         self.account.damped = damped
