@@ -43,6 +43,7 @@ class Comparison:
     Parameters
     ----------
     names : (str, str)
+        Of the result and of the reference.
     rows : tuple of Row
         One a difference, with its band if it has one.
     notes : tuple of str
@@ -113,11 +114,7 @@ class Comparison:
         return "\n".join([*lines, ""])
 
     def save(self, out: str | Path, *, force: bool = False) -> Path:
-        """Write compare.json, compare.csv, compare.md, difference.vtu and difference.png.
-
-        The folder is made if missing. InputError if it holds a comparison already and `force` is
-        not set, or if it cannot be written.
-        """
+        """Write `FILES` into the folder `out`; `force` replaces an existing comparison there."""
         import meshio
 
         from .picture import draw
@@ -193,6 +190,10 @@ def compare(
         the travel (root mean square), of its largest.
     **reading
         How the reference's file is to be read: `Reading`; its `travel` is `reference_travel` here.
+
+    Returns
+    -------
+    Comparison
 
     Raises
     ------

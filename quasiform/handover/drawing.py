@@ -19,18 +19,7 @@ LAYERS = {"BLANK": (8, "#777777"), "TRIM": (1, "#d00000"), "MARKS": (5, "#0050b0
 
 @dataclass(frozen=True, eq=False)
 class Drawing:
-    """Lines of a cut in the flat blank, seen from the upper side, where the punch is.
-
-    Parameters
-    ----------
-    name : str
-        Of the part.
-    trim, blank : list of (k, 2) arrays
-        Lines to cut along; outline of the blank and of its holes; mm, a closed one repeats its
-        first point.
-    along : (2, 2) array
-        Flat unit vectors of warp (0°) and weft (90°).
-    """
+    """Lines of a cut in the flat blank; `FlatPattern` describes them."""
 
     name: str
     trim: list[FloatArray]

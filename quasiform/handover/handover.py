@@ -96,6 +96,10 @@ def export(
     force : bool
         Whether to replace files of an earlier hand-over.
 
+    Returns
+    -------
+    Handover
+
     Raises
     ------
     InputError

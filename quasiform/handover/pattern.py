@@ -44,10 +44,17 @@ NOT_MODELLED = NOTICES["pattern"]
 
 @dataclass(frozen=True, eq=False)
 class FlatPattern(Drawing):
-    """A cut in the flat blank: `trim`, `blank` and `along` as in `Drawing`.
+    """A cut in the flat blank, seen from the upper side, where the punch is.
 
     Parameters
     ----------
+    name : str
+        Of the part.
+    trim, blank : list of (k, 2) arrays
+        Lines to cut along; outline of the blank and of its holes; mm, a closed one repeats its
+        first point.
+    along : (2, 2) array
+        Flat unit vectors of warp (0°) and weft (90°).
     notices : tuple of str
         What the pattern does not hold: that of this one, then that of them all (`NOT_MODELLED`).
     """
@@ -63,12 +70,7 @@ class FlatPattern(Drawing):
         return float(reduce(shapely.symmetric_difference, rings, shapely.Polygon()).area)
 
     def save(self, out: str | Path, *, force: bool = False) -> Path:
-        """Write pattern.svg and, with ezdxf, pattern.dxf (mm, 1:1), pattern.csv and pattern.txt.
-
-        The CSV has the points, the text the notices. Without ezdxf an older pattern.dxf is removed.
-        Returns the folder, which is made if missing. InputError if it holds a pattern already and
-        `force` is not set, or if it cannot be written.
-        """
+        """Write `FILES` (the .dxf with ezdxf only) into `out`; `force` replaces an earlier one."""
         with replaced(out, force=force, names=FILES) as folder:
             if not _without_dxf():
                 write_dxf(self, folder / "pattern.dxf")
@@ -99,6 +101,10 @@ def flat_pattern(
         mm; a line farther than this from the sheet has left it. The thickness if not given.
     scale : float
         mm per unit of the line.
+
+    Returns
+    -------
+    FlatPattern
 
     Raises
     ------

@@ -103,10 +103,7 @@ class Blank:
         return self.nodes[self.triangles].mean(1)
 
     def fibre_lines(self, family: str) -> MeshLine:
-        """Segments of the lines of "warp" or "weft" as a 1D mesh on the nodes of the blank.
-
-        The coordinate is the arc length along the fibre, mm.
-        """
+        """Segments of a family, "warp" or "weft", as a 1D mesh on the nodes; arc lengths in mm."""
         along = self.warp if family == "warp" else self.weft
         legs = self.mesh.facets.T
         direction = self.nodes[legs[:, 1]] - self.nodes[legs[:, 0]]
@@ -196,7 +193,11 @@ def rectangle(
     centre : (2,)
         mm.
     size, orientation, through, mirror
-        As for `cut`, as are the errors.
+        As for `cut`, the spacing in mm and the orientation in degrees; so are the errors.
+
+    Returns
+    -------
+    Blank
     """
     for name, value in (("length", length), ("width", width), ("size", size)):
         check_number(name, value)
