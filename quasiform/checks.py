@@ -15,6 +15,8 @@ from typing import Any
 
 LONGEST = 400  # characters of a message
 
+FORMAT = 2  # of every file that is written; those of version 0.1.0 carry none
+
 
 class InputError(ValueError):
     """Wrong input; the message is one line for the user (exit status 2 on the command line).

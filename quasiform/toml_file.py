@@ -10,7 +10,7 @@ from numbers import Integral
 from pathlib import Path
 from typing import Any, TypeVar
 
-from .checks import InputError, check_file, naming
+from .checks import FORMAT, InputError, check_file, naming
 
 T = TypeVar("T")
 BIGGEST = 10_000_000  # bytes of a file
@@ -20,7 +20,15 @@ DEEPEST = 30  # tables and lists in each other
 def read_toml(path: str | Path, build: Callable[[dict[str, Any]], T]) -> T:
     """Build something from the table in a TOML file; every refusal names the file."""
     with naming(path):
-        return build(_toml(path))
+        return build(without_format(_toml(path)))
+
+
+def without_format(table: dict[str, Any]) -> dict[str, Any]:
+    """Return a table without the number of its format, if that is one that is known."""
+    given = table.pop("format", FORMAT)
+    if given not in (1, FORMAT):
+        raise InputError(f"format must be 1 or {FORMAT}, got {given!r}")
+    return table
 
 
 def _toml(path: str | Path) -> dict[str, Any]:
@@ -73,9 +81,10 @@ def _check(value: Any, depth: int = 0) -> None:
 def toml_text(table: Mapping[str, Any], comments: Mapping[str, str] | None = None) -> str:
     """Return a table as the text of a TOML file; lists of tables and tables come last.
 
-    A comment stands behind its key on one line.
+    The number of the format comes first; a comment stands behind its key on one line.
     """
-    return "\n".join(_lines(table, (), comments or {})).lstrip("\n") + "\n"
+    lines = _lines({"format": FORMAT, **table}, (), comments or {})
+    return "\n".join(lines).lstrip("\n") + "\n"
 
 
 def _lines(table: Mapping[str, Any], at: tuple[str, ...], comments: Mapping[str, str]) -> list[str]:

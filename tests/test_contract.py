@@ -13,6 +13,7 @@ import quasiform as qf
 from examples.softening import SofteningYarns, stitched
 from quasiform.fingerprint import fingerprint
 from quasiform.potential import Potential
+from quasiform.scenes.scene_file import json_schema, load, scene_toml
 from quasiform.solve.equilibrium import Equilibrium
 from quasiform.solve.linear import SuperLU
 from quasiform.solve.proximal import Bed
@@ -411,3 +412,15 @@ def test_checkpoint_of_an_older_version_is_refused_with_one_line(tmp_path):
     np.savez(tmp_path / "resume.npz", head=np.array(head), x=np.zeros(3))
     with pytest.raises(qf.InputError, match=r"a record of format 1, this version continues 2"):
         qf.Journal(tmp_path, resume=True)
+
+
+def test_files_that_are_written_carry_their_format(tmp_path):
+    qf.Fabric().save(tmp_path / "fabric.toml")
+    assert (tmp_path / "fabric.toml").read_text().startswith("format = 2\n")
+    assert qf.Fabric.load(tmp_path / "fabric.toml").shear == qf.Fabric().shear
+    newer = (tmp_path / "fabric.toml").read_text().replace("format = 2", "format = 3")
+    (tmp_path / "newer.toml").write_text(newer)
+    with pytest.raises(qf.InputError, match=r"newer\.toml: format must be 1 or 2, got 3"):
+        qf.Fabric.load(tmp_path / "newer.toml")
+    assert scene_toml(load("hemisphere")).startswith("format = 2\n")
+    assert "format" in json_schema()["properties"]

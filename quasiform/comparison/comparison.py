@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..checks import InputError, check_keys, check_number
+from ..checks import FORMAT, InputError, check_keys, check_number
 from ..result.files import replaced
 from ..result.sheet import FormedSheet
 from ..result.summary import package_version
@@ -120,7 +120,8 @@ class Comparison:
         from .picture import draw
 
         content = dict(zip(("result", "reference"), self.names, strict=True))
-        content |= {"version": package_version(), "travel_mm": self.travel, "held": self.held}
+        content |= {"version": package_version(), "format": FORMAT}
+        content |= {"travel_mm": self.travel, "held": self.held}
         content |= {"notes": self.notes}
         content |= {"rows": [asdict(row) | {"held": row.held} for row in self.rows]}
         with replaced(out, force=force, names=FILES) as folder:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import naming
+from ..checks import FORMAT, naming
 from ..fabric import Fabric
 from ..result.files import replaced
 from ..result.summary import package_version
@@ -74,6 +74,7 @@ class Identification:
         return {
             "case": self.campaign.name,
             "version": package_version(),
+            "format": FORMAT,
             "provenance": dict(self.fabric.provenance),
             "parameters": [
                 {k: None if v != v else v for k, v in vars(p).items()} for p in self.parameters

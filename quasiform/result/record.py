@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..checks import InputError, naming
+from ..checks import FORMAT, InputError, naming
 from ..scenes import scene_file
 from .sheet import FormedSheet, read_sheets
 
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from ..model import Model
 
 FloatArray = np.ndarray
-FORMAT = 2
 NEEDED = {"point_fields": ("displacement",), "cell_fields": ("shear_angle", "warp", "weft")}
 
 

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from ..checks import FORMAT
 from .certificate import Certificate, one_of_many, trust
 from .measures import chord_penetration, max_penetration, percentile
 from .outcome import Outcome
-from .record import FORMAT
 
 
 def summarise(result: Outcome, certificate: Certificate) -> dict[str, Any]:

@@ -30,9 +30,9 @@ from pydantic import (
 )
 
 from .. import schema
-from ..checks import InputError, check_keys, suggestion
+from ..checks import FORMAT, InputError, check_keys, suggestion
 from ..schema import LARGEST, OPEN, Table, checked, number, path, vector
-from ..toml_file import read_toml, toml_text
+from ..toml_file import read_toml, toml_text, without_format
 from ..tools.part import SHAPES, Form, ToolPart
 from ..tools.shapes import FAR
 from ..tools.surface_file import SurfaceFile
@@ -401,14 +401,15 @@ def load(name: str) -> SceneFile:
 
 def read_text(written: Mapping[str, str]) -> SceneFile:
     """Return the scene that `scene_toml` has written as `toml`, with its `source`."""
-    file = _scene(tomllib.loads(written["toml"]), Path(), "scene")
+    file = _scene(without_format(tomllib.loads(written["toml"])), Path(), "scene")
     return replace(file, source=written["source"])
 
 
 def json_schema() -> dict[str, Any]:
     """Return the JSON schema of a scene file: keys, units, limits and defaults, for editors."""
-    dialect = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
-    return dialect | Scene.model_json_schema()
+    schema = Scene.model_json_schema()
+    schema["properties"]["format"] = {"enum": [1, FORMAT], "description": "Of the file"}
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema"} | schema
 
 
 def scene_toml(file: SceneFile) -> str:

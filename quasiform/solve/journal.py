@@ -23,14 +23,13 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from ..checks import InputError
+from ..checks import FORMAT, InputError
 from ..model import Model
 from ..recipe import Recipe
 from ..result.files import FILES, RESUME, added, check_folder
 from ..result.run import Result, State
 from .run import Account, Run
 
-FORMAT = 2
 UNREADABLE = OSError, LookupError, TypeError, ValueError, AttributeError, EOFError, BadZipFile
 
 
