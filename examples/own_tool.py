@@ -28,7 +28,7 @@ class Ring:
 
     @property
     def sharpest(self):
-        """Smallest radius of curvature: the mesh is told by it whether it resolves the tool."""
+        """Smallest radius of curvature: shows whether the mesh resolves the tool."""
         return self.section
 
     def distance(self, points):

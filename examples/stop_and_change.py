@@ -1,8 +1,8 @@
 """A callback that stops a run, and one that changes it on the way.
 
-The callback is told the `Progress` after each increment. It stops the run there by returning True
-or the reason as a text; the result up to there is kept, with the status "stopped". What it changes
-of the model's terms counts from the next increment on.
+The callback is called with the `Progress` after each increment. It stops the run there by returning
+True or the reason as a text; the result up to there is kept, with the status "stopped". What it
+changes of the model's terms counts from the next increment on.
 """
 
 import quasiform as qf

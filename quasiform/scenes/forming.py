@@ -116,7 +116,7 @@ def formed_between_tools(
         raise InputError(f"size must not exceed an eighth of the blank, {largest:g}, got {size:g}")
     tools, from_files = like.tools if like else _tools(file, fabric, outline)
     for read in from_files.values():
-        description += read.told(tools, outline, travel)
+        description += read.description(tools, outline, travel)
     if not like:
         check_clearance(tools, from_files, outline, fabric.thickness, travel)
     mirror, why = mirror_planes(file, tools, outline, orientation, travel, symmetry, fabric)

@@ -65,7 +65,7 @@ class ToolFile:
         low, high = self.box[:, 2]
         return float(self.thickness - low if self.down else -high)
 
-    def told(
+    def description(
         self, tools: Sequence[Tool], outline: shapely.Polygon, travel: float
     ) -> list[tuple[str, str]]:
         """Lines of the model: what the file holds, where it lies, repairs, warnings."""
