@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..checks import FORMAT, InputError, naming
-from ..scenes import scene_file
 from .sheet import FormedSheet, read_sheets
 
 if TYPE_CHECKING:
@@ -206,6 +205,8 @@ class Record:
         if self.model is not None:
             return dict(self.model.areas)
         if isinstance(self.parameters.get("scene"), str):
+            from ..scenes import scene_file  # pydantic
+
             with suppress(InputError):
                 return dict(scene_file.load(self.scene).areas)
         return {}
