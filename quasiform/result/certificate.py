@@ -124,10 +124,28 @@ def one_of_many(result: Outcome) -> str:
     return "; ".join(signs)
 
 
+def spoken(quantity: str) -> str:
+    """Name of a quantity in a sentence.
+
+    Examples
+    --------
+    >>> spoken("area_pink_deg"), spoken("draw_in_+x_mm")
+    ('the mean shear angle of area pink', 'the draw-in at +x')
+    """
+    known = {
+        "force_N": "the force",
+        "shear_angle_deg": "the largest shear angles (p99)",
+        "shear_angle_mean_deg": "the mean shear angle",
+    }
+    kind, _, place = quantity.rpartition("_")[0].replace("draw_in", "draw-in").partition("_")
+    what = {"area": "mean shear angle of area", "draw-in": "draw-in at"}
+    return known.get(quantity) or f"the {what.get(kind, kind)} {place}"
+
+
 def trust(result: Outcome) -> list[str]:
     """What limits the numbers of a run, one sentence each."""
     found = [
-        f"the mesh error of {name} is {100 * error / abs(value):.0f} % of its value"
+        f"the mesh error of {spoken(name)} is {100 * error / abs(value):.0f} % of its value"
         for name, value in result.quantities.items()
         if (error := result.estimate.get(name)) and error > WIDE * abs(value) > 0
     ]
