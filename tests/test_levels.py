@@ -216,3 +216,9 @@ def test_the_estimate_holds_for_the_hemisphere():
     inside = [abs(judged.quantities[n] - finer[n]) <= e for n, e in judged.estimate.items()]
     assert np.mean(inside) >= 0.9
     assert len(inside) == 10
+
+
+def test_rescues_of_all_levels_are_added(refined):
+    path = refined.path.rescues
+    assert path["convex tangent"] > 0
+    assert all(refined.rescues[rung] >= count for rung, count in path.items())
