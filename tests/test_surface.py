@@ -15,7 +15,7 @@ from numpy.testing import assert_allclose
 from quasiform.checks import InputError
 from quasiform.scenes.forming import forming
 from quasiform.tools.grid import check_surface, from_file, surface_grid
-from quasiform.tools.mending import without_slivers
+from quasiform.tools.mending import rims_of, without_slivers
 from quasiform.tools.surface_file import SurfaceFile, read_surface
 
 pytest.importorskip("igl")
@@ -840,3 +840,12 @@ def test_text_file_with_letters_in_its_name(tmp_path):
     facet = f"facet normal 0 0 1\nouter loop\n{corners}endloop\nendfacet\n"
     path.write_text(f"solid Stempel für Blech\n{facet}endsolid\n", encoding="utf-8")
     assert len(read_surface(path)[1]) == 1
+
+
+def test_the_longest_rim_comes_first_wherever_it_lies():
+    square = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    vertices = np.vstack([square + [1000.0, 0, 0], 10 * square])
+    triangles = np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]])
+    first, second = rims_of(vertices, triangles)
+    assert set(first.tolist()) == {4, 5, 6, 7}
+    assert set(second.tolist()) == {0, 1, 2, 3}
