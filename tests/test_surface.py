@@ -844,7 +844,7 @@ def test_text_file_with_letters_in_its_name(tmp_path):
 
 def test_the_longest_rim_comes_first_wherever_it_lies():
     square = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
-    vertices = np.vstack([square + [1000.0, 0, 0], 10 * square])
+    vertices = np.vstack([square + np.array([1000.0, 0, 0]), 10 * square])
     triangles = np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]])
     first, second = rims_of(vertices, triangles)
     assert set(first.tolist()) == {4, 5, 6, 7}
