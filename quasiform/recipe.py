@@ -103,8 +103,13 @@ def built(builder: Builder, size: float, **given: Any) -> Model:
 
 def reference(function: Callable[..., Any]) -> str:
     """Module and name of a function, by which another process finds it."""
-    module, name = function.__module__, function.__qualname__
-    if module == "__main__" or "<" in name:
+    module = getattr(function, "__module__", None) or "__main__"
+    name = getattr(function, "__qualname__", repr(function))
+    found: Any = sys.modules.get(module)
+    for part in name.split("."):
+        found = getattr(found, part, None)
+    # a partial, a method or a wrapped function has no name by which it alone is found
+    if module == "__main__" or found != function:
         raise InputError(
             f"'{name}' cannot be found from another process: define it in a module of its own"
         )
