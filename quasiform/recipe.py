@@ -141,7 +141,7 @@ def plain(value: Any) -> Any:
 
 @plain.register
 def _(value: Path) -> dict[str, Any]:
-    return {"path": str(value)}
+    return {"path": str(value.absolute())}
 
 
 @plain.register

@@ -6,6 +6,7 @@ import sys
 from dataclasses import dataclass, replace
 from functools import partial, wraps
 
+import meshio
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -534,3 +535,13 @@ def test_field_without_places_that_grows_with_the_mesh_is_refused_by_refine():
 
 def test_fingerprint_keeps_numbers_apart():
     assert fingerprint([1, 23]) != fingerprint([12, 3])
+
+
+def test_recipe_with_a_mesh_is_read_from_another_folder(tmp_path, monkeypatch):
+    blank = strip().sheet.blank
+    points = np.pad(blank.nodes, ((0, 0), (0, 1)))
+    meshio.Mesh(points, [("triangle", blank.triangles)]).write(tmp_path / "own.vtu")
+    monkeypatch.chdir(tmp_path)
+    written = strip(mesh="own.vtu").recipe.written()
+    monkeypatch.chdir("/")
+    assert_array_equal(qf.Recipe.read(written).build().sheet.blank.triangles.shape[1], 3)
