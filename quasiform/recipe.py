@@ -84,7 +84,10 @@ class Recipe:
         paths = []
         for _, value in self.given:
             paths += [value] if isinstance(value, Path) else getattr(value, "files", list)()
-        return {str(path): sha256(Path(path).read_bytes()).hexdigest() for path in paths}
+        return {
+            str(Path(path).absolute()): sha256(Path(path).read_bytes()).hexdigest()
+            for path in paths
+        }
 
     @property
     def digest(self) -> str:
