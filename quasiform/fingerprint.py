@@ -26,9 +26,9 @@ def fingerprint(thing: Any) -> str:
             digest.update(f"{part.dtype}{part.shape}".encode())
             digest.update(np.ascontiguousarray(part).data if part.dtype != object else b"")
         elif part is None or isinstance(part, str | bytes | int | float | complex | np.generic):
-            digest.update(repr(part).encode())
+            digest.update(f"{part!r};".encode())  # 1, 23 is not 12, 3
         elif id(part) in seen:
-            digest.update(str(seen[id(part)]).encode())
+            digest.update(f"{seen[id(part)]};".encode())
         else:
             seen[id(part)] = len(seen)
             digest.update(type(part).__qualname__.encode())

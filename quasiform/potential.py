@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.sparse import csr_array
 
-from .energy.term import Term
+from .energy.term import Term, check_state
 from .unknowns import FloatArray, IntArray
 
 Memory = tuple[Any, ...]  # the states of all terms, in their order; owned by a run
@@ -92,7 +92,8 @@ class Potential:
 
     def commit(self, x: FloatArray, memory: Memory) -> Memory:
         """States after a converged increment that ends at x."""
-        return tuple(t.commit(x, s) for t, s in zip(self.terms, memory, strict=True))
+        states = zip(self.terms, memory, strict=True)
+        return tuple(check_state(t, t.commit(x, s), s) for t, s in states)
 
     def dissipated(self, before: Memory, after: Memory, x: FloatArray) -> float:
         """Energy lost between two committed states, the last at x, mJ."""

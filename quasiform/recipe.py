@@ -84,7 +84,10 @@ class Recipe:
         paths = []
         for _, value in self.given:
             paths += [value] if isinstance(value, Path) else getattr(value, "files", list)()
-        return {str(path): sha256(Path(path).read_bytes()).hexdigest() for path in paths}
+        return {
+            str(Path(path).absolute()): sha256(Path(path).read_bytes()).hexdigest()
+            for path in paths
+        }
 
     @property
     def digest(self) -> str:
@@ -103,8 +106,13 @@ def built(builder: Builder, size: float, **given: Any) -> Model:
 
 def reference(function: Callable[..., Any]) -> str:
     """Module and name of a function, by which another process finds it."""
-    module, name = function.__module__, function.__qualname__
-    if module == "__main__" or "<" in name:
+    module = getattr(function, "__module__", None) or "__main__"
+    name = getattr(function, "__qualname__", repr(function))
+    found: Any = sys.modules.get(module)
+    for part in name.split("."):
+        found = getattr(found, part, None)
+    # a partial, a method or a wrapped function has no name by which it alone is found
+    if module == "__main__" or found != function:
         raise InputError(
             f"'{name}' cannot be found from another process: define it in a module of its own"
         )
@@ -136,7 +144,7 @@ def plain(value: Any) -> Any:
 
 @plain.register
 def _(value: Path) -> dict[str, Any]:
-    return {"path": str(value)}
+    return {"path": str(value.absolute())}
 
 
 @plain.register

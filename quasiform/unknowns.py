@@ -67,7 +67,11 @@ class Unknowns:
         """
         if any(known.name == name for known in self.fields):
             raise ValueError(f"there is a field '{name}' already")
-        places = given.get("places")
+        places, areas = given.get("places"), given.get("areas")
+        if places is not None and np.shape(places)[1:] != (2,):
+            raise ValueError(f"places of '{name}' must be (n, 2), got {np.shape(places)}")
+        if areas is not None and np.shape(areas) != np.shape(places)[:1]:
+            raise ValueError(f"areas of '{name}' must be one a place, got {np.shape(areas)}")
         shape = (components, 1) if places is None else (len(places), components)
         dofs = self.size + np.arange(np.prod(shape)).reshape(shape)
         self.fields.append(Field(name, dofs, **given))
@@ -91,7 +95,10 @@ class Unknowns:
         return sum(known.dofs.size for known in self.fields)
 
     def __getitem__(self, name: str) -> Field:
-        return next(known for known in self.fields if known.name == name)
+        names = [known.name for known in self.fields]
+        if name not in names:
+            raise KeyError(f"no field '{name}': there are {', '.join(names)}")
+        return self.fields[names.index(name)]
 
     @property
     def positions(self) -> Iterator[Field]:

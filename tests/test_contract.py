@@ -4,7 +4,9 @@ import json
 import subprocess
 import sys
 from dataclasses import dataclass, replace
+from functools import partial, wraps
 
+import meshio
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -420,3 +422,129 @@ def test_files_that_are_written_carry_their_format(tmp_path):
         qf.Fabric.load(tmp_path / "newer.toml")
     assert scene_toml(load("hemisphere")).startswith("format = 2\n")
     assert "format" in json_schema()["properties"]
+
+
+# What a user may get wrong is said in one line
+
+
+class Wrong(SofteningYarns):
+    wrong = ""
+
+    def initial(self, x):
+        state = super().initial(x)
+        return {"array": state.kappa, "forgets": None}.get(self.wrong, state)
+
+    def _secant(self, e, state):
+        return super()._secant(e, state or self.start)
+
+    def energy(self, x, state):
+        energy = super().energy(x, state or self.start)
+        return energy.sum() if self.wrong == "energy" else energy
+
+    def commit(self, x, state):
+        return super().commit(x, state or self.start)
+
+    def gradient(self, x, state):
+        gradient = super().gradient(x, state)
+        return gradient[:, :2] if self.wrong == "gradient" else gradient
+
+    def hessian(self, x, state, convex):
+        state = state or self.start
+        return super().hessian(x, state, convex)[:, : 2 if self.wrong == "hessian" else None]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ("energy", r"its energy must be of shape \(\d+,\), got \(\)"),
+        ("gradient", r"its gradient must be of shape \(\d+, 4\), got \(\d+, 2\)"),
+        ("hessian", r"its hessian must be of shape \(\d+, 4, 4\), got \(\d+, 2, 4\)"),
+        ("array", "its state must be a frozen dataclass of arrays or None, got ndarray"),
+        ("forgets", "its state was NoneType and became Stretched"),
+        ("far", "dofs must lie between 0 and"),
+        ("float", "dofs must be whole numbers"),
+    ],
+)
+def test_wrong_term_is_refused_with_one_line(wrong, message):
+    model = strip().including(stitched)
+    yarns = model.terms[-1]
+    yarns.__class__, yarns.wrong, yarns.start = Wrong, wrong, yarns.initial(model.x0)
+    if wrong == "far":
+        yarns.dofs = yarns.dofs + 1000000
+    if wrong == "float":
+        yarns.dofs = yarns.dofs.astype(float)
+    with pytest.raises(qf.InputError, match="term 'softening yarns': " + message):
+        qf.solve(model)
+
+
+def test_what_is_no_term_is_refused_with_one_line():
+    model = strip()
+    model.terms.append(lambda x: 0.0)
+    with pytest.raises(qf.InputError, match="must be a Term, got function"):
+        qf.solve(model)
+
+
+class Stitching:
+    def __call__(self, model):
+        stitched(model)
+
+    def method(self, model):
+        stitched(model)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [partial(stitched), Stitching(), Stitching().method, wraps(thicker)(lambda m: stitched(m))],
+)
+def test_change_without_a_name_of_its_own_is_recorded_as_unfindable(change, tmp_path):
+    model = strip().including(change)
+    with pytest.raises(qf.InputError, match="cannot be found from another process"):
+        model.recipe.written()
+    straight = qf.solve(model, estimate=False)
+    qf.solve(model, lambda p: p.travel > 8, out=tmp_path)
+    resumed = qf.solve(model, out=tmp_path, resume=True, estimate=False)
+    assert resumed.force == straight.force
+
+
+def test_refine_without_a_folder_cannot_resume():
+    with pytest.raises(qf.InputError, match="resume needs the folder of a run"):
+        qf.refine(strip(), resume=True)
+
+
+def test_unknown_field_is_named():
+    with pytest.raises(KeyError, match="no field 'slip': there are sheet"):
+        strip().unknowns["slip"]
+
+
+def test_places_and_areas_of_a_field_fit():
+    with pytest.raises(ValueError, match=r"places of 'slip' must be \(n, 2\), got \(3, 3\)"):
+        strip().add("slip", 2, places=np.zeros((3, 3)))
+    with pytest.raises(ValueError, match="areas of 'slip' must be one a place"):
+        strip().add("slip", 2, places=np.zeros((3, 2)), areas=np.ones(2))
+
+
+def one_by_node_without_places(model):
+    slip = model.add("slip", len(model.sheet.blank.nodes))
+    model.fixed[slip.dofs] = True
+
+
+def test_field_without_places_that_grows_with_the_mesh_is_refused_by_refine():
+    with pytest.raises(qf.InputError, match=r"'slip' has .* give it places"):
+        qf.refine(strip(size=10.0).including(one_by_node_without_places))
+
+
+def test_fingerprint_keeps_numbers_apart():
+    assert fingerprint([1, 23]) != fingerprint([12, 3])
+
+
+def test_recipe_with_a_mesh_is_read_from_another_folder(tmp_path, monkeypatch):
+    blank = strip().sheet.blank
+    points = np.pad(blank.nodes, ((0, 0), (0, 1)))
+    meshio.Mesh(points, [("triangle", blank.triangles)]).write(tmp_path / "own.vtu")
+    monkeypatch.chdir(tmp_path)
+    recipe = strip(mesh="own.vtu").recipe
+    written, digest = recipe.written(), recipe.digest
+    monkeypatch.chdir("/")
+    again = qf.Recipe.read(written)
+    assert again.digest == digest
+    assert_array_equal(again.build().sheet.blank.triangles, blank.triangles)

@@ -19,11 +19,12 @@ in `solve`, for every term with these functions.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from ..checks import InputError
 from ..net.transfer import interpolated
 from ..unknowns import FloatArray, IntArray, Unknowns
 
@@ -105,3 +106,49 @@ class Standing:
     def places(self) -> FloatArray:
         """(n_stencils, 2) mean flat place of the unknowns of each stencil, mm."""
         return np.nanmean(self.unknowns.places()[self.term.stencils(self.state)], axis=1)
+
+
+def check_state(term: Term, state: Any, *before: Any) -> Any:
+    """Return a state; InputError if it is none that a run can keep, after the one `before` it."""
+    if before and type(state) is not type(before[0]):
+        raise InputError(
+            f"term '{term.name}': its state was {type(before[0]).__name__} and became "
+            f"{type(state).__name__}: `initial` must return what `commit` does"
+        )
+    if state is None or (is_dataclass(state) and not isinstance(state, type)):
+        return state
+    raise InputError(
+        f"term '{term.name}': its state must be a frozen dataclass of arrays or None, "
+        f"got {type(state).__name__}"
+    )
+
+
+def check_term(term: Any, x: FloatArray) -> Any:
+    """Return the initial state of a term; InputError if its arrays have other shapes than named."""
+    if not isinstance(term, Term):
+        raise InputError(f"a term of a model must be a Term, got {type(term).__name__}")
+    state = check_state(term, term.initial(x))
+    dofs = np.asarray(term.stencils(state))
+    if dofs.ndim != 2 or dofs.dtype.kind not in "iu":
+        raise InputError(
+            f"term '{term.name}': dofs must be whole numbers, (n_stencils, n_local), got "
+            f"{dofs.dtype} of shape {dofs.shape}"
+        )
+    if dofs.size and not 0 <= dofs.min() <= dofs.max() < len(x):
+        raise InputError(
+            f"term '{term.name}': dofs must lie between 0 and {len(x) - 1}, "
+            f"got {dofs.min()} to {dofs.max()}"
+        )
+    m, k = dofs.shape
+    rows = [term.active(x, state)] if term.selective else []  # type: ignore[attr-defined]
+    found = {
+        "energy": ((m,), term.energy(x, state)),
+        "gradient": ((m, k), term.gradient(x, state)),
+        "hessian": ((len(rows[0]) if rows else m, k, k), term.hessian(x, state, False, *rows)),
+    }
+    for name, (shape, values) in found.items():
+        if np.shape(values) != shape:
+            raise InputError(
+                f"term '{term.name}': its {name} must be of shape {shape}, got {np.shape(values)}"
+            )
+    return state

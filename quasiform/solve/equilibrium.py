@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..energy.term import Term
+from ..energy.term import Term, check_term
 from ..model import Model
 from ..potential import Memory, Potential
 from ..unknowns import FloatArray
@@ -39,7 +39,7 @@ class Equilibrium:
     def __post_init__(self) -> None:
         model = self.model
         self.free = ~model.fixed
-        self.memory = tuple(term.initial(model.x0) for term in model.terms)
+        self.memory = tuple(check_term(term, model.x0) for term in model.terms)
         self.potential = Potential(model.terms, self.free, self.memory)
         places = model.unknowns.places()[self.free]
         self.tangent = Tangent(self.potential, places, self.linear, self.convex)

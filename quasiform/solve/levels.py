@@ -24,7 +24,7 @@ from ..model import Model
 from ..net.transfer import smoothly
 from ..potential import Memory
 from ..result.run import Result, State
-from ..unknowns import FloatArray
+from ..unknowns import Field, FloatArray
 from .equilibrium import Equilibrium
 from .increments import CHANGED, Callback, follow, judge, report
 from .journal import Journal
@@ -73,6 +73,8 @@ def refine(
     """
     if accuracy is not None:
         check_number("accuracy", accuracy)
+    if resume and (out is None or isinstance(out, Journal)):
+        raise InputError("resume needs the folder of a run as `out`")
     clock = time.perf_counter()
     settings = Settings(increment, linear=linear, tolerance=tolerance)
     journal = out if isinstance(out, Journal) or out is None else Journal(out, resume=resume)
@@ -218,6 +220,7 @@ def transferred(coarse: Result, model: Model, last: FloatArray) -> tuple[FloatAr
     for field in model.unknowns.fields:
         theirs = old.unknowns[field.name]
         if field.places is None:
+            _check_same(field, theirs)
             x[field.dofs], dx[field.dofs] = theirs.of(end.x), theirs.of(last)
             continue
         both = np.hstack([theirs.of(end.x) - theirs.of(old.x0), theirs.of(last)])
@@ -250,5 +253,16 @@ def _start(model: Model, path: Result) -> FloatArray:
     x = model.x0.copy()
     for field in model.unknowns.fields:
         if field.places is None:
-            x[field.dofs] = path.model.unknowns[field.name].of(path.states[0].x)
+            theirs = path.model.unknowns[field.name]
+            _check_same(field, theirs)
+            x[field.dofs] = theirs.of(path.states[0].x)
     return x
+
+
+def _check_same(field: Field, theirs: Field) -> None:
+    """Refuse to copy a field without places that has another size on another mesh."""
+    if field.dofs.shape != theirs.dofs.shape:
+        raise InputError(
+            f"field '{field.name}' has {len(theirs.dofs)} unknowns on a coarser mesh and "
+            f"{len(field.dofs)} here: give it places, so that it can be interpolated"
+        )
