@@ -194,3 +194,11 @@ def test_a_motion_without_stiffness_stops_with_the_reason():
     assert result.status == "stopped"
     assert result.reason.startswith("at 0 of 5: ")
     assert not result.certified
+
+
+def test_increments_are_ten_thousand_at_most():
+    model = qf.off_axis_tension(displacement=10, size=40)
+    with pytest.raises(qf.InputError, match=r"increment must be at least 0\.001"):
+        qf.solve(model, increment=10 / 10_000.5)
+    allowed = qf.solve(model, increment=10 / 9_999.5, callback=lambda p: True, estimate=False)
+    assert allowed.reason.startswith("stopped by the callback")

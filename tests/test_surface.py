@@ -15,7 +15,7 @@ from numpy.testing import assert_allclose
 from quasiform.checks import InputError
 from quasiform.scenes.forming import forming
 from quasiform.tools.grid import check_surface, from_file, surface_grid
-from quasiform.tools.mending import rims_of, without_slivers
+from quasiform.tools.mending import oriented, rims_of, without_slivers
 from quasiform.tools.surface_file import SurfaceFile, read_surface
 
 pytest.importorskip("igl")
@@ -849,3 +849,14 @@ def test_the_longest_rim_comes_first_wherever_it_lies():
     first, second = rims_of(vertices, triangles)
     assert set(first.tolist()) == {4, 5, 6, 7}
     assert set(second.tolist()) == {0, 1, 2, 3}
+
+
+def test_a_closed_surface_is_turned_outwards_whatever_the_sense_of_most_triangles():
+    pytest.importorskip("igl")
+    vertices = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    outwards = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
+    inwards = outwards[:, ::-1].copy()
+    one_turned = np.vstack([outwards[:1], inwards[1:]])
+    for triangles in (outwards, inwards, one_turned):
+        corners = vertices[oriented(vertices, triangles)]
+        assert np.linalg.det(corners - vertices.mean(0)).sum() > 0
