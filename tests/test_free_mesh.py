@@ -70,6 +70,22 @@ def test_derivatives_follow_the_energy(blank):
         assert low > -1e-12 * np.abs(H).max()
 
 
+def test_the_foreseen_tension_of_pairs_is_the_linearised_one(blank):
+    membrane, n = PairedMembrane(sheet_of(blank, 3)), 3 * len(blank.nodes)
+    rng = np.random.default_rng(0)
+    x = np.pad(blank.nodes, ((0, 0), (0, 1))).ravel() + rng.normal(size=n) * 0.3
+    dx, h = rng.normal(size=n), 1e-6
+    now = membrane.foreseen_stress(x, 0 * dx)
+    ahead = membrane.foreseen_stress(x, dx)
+    low, high = (membrane.foreseen_stress(x + s * h * dx, 0 * dx) for s in (-1, 1))
+    rise = (high - low) / (2 * h)
+    for fibre in (0, 1):
+        change = (ahead - now)[fibre, fibre]
+        assert_allclose(
+            change, rise[fibre, fibre], rtol=1e-6, atol=1e-6 * np.abs(rise[fibre]).max()
+        )
+
+
 def test_rigid_motion_costs_nothing_and_area_is_shared_out(blank):
     angle = 0.7
     R = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])

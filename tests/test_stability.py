@@ -29,6 +29,21 @@ def test_a_snap_through_ends_on_the_lower_branch(convex):
     assert result.negative_pivots == 0
     assert result.positions()[:, 2].min() < -5
     assert result.positions(0)[:, 2].max() > 5
+    (snap,) = result.snaps  # a jump, not the error of the trapezoidal rule
+    assert 1.3 < snap["released_mJ"] < 1.6
+
+
+def test_a_gap_that_does_not_fall_with_the_increment_is_a_jump(monkeypatch):
+    monkeypatch.setattr(running, "WEIGHED", 0.0)  # every gap is too large
+    run = running.Run(Equilibrium(hemisphere()), running.Settings())
+    run.open(run.start())
+    with pytest.raises(running.TooCoarseError):
+        run.advance(0.3, [], weigh=True)
+    _, gap = run.account.missed
+    assert 0 < gap < 1
+    run.back()
+    run.advance(0.3, [], weigh=False)
+    assert [snap["released_mJ"] for snap in run.account.snaps] == pytest.approx([gap])
 
 
 def test_a_saddle_is_left_on_both_sides_alike():
