@@ -15,6 +15,7 @@ from ..net.blank import Blank
 from .sheet import DOUBTS, FormedSheet
 
 FloatArray = np.ndarray
+LEAST_FORCE = 0.05  # of a contact force: a radius with less on it does not count
 LIFTED = 0.1  # of the thickness: a flange that is lifted further has wrinkled
 SLIP_GRADIENT = 2.4
 """Shear gradient at which rovings may slip, degrees/mm: in the 45° off-axis tension test the paper
@@ -149,7 +150,7 @@ def wrinkles(model: Model, x: FloatArray) -> dict[str, float | None]:
     blank, source, *_ = model.sheet.whole
     found: dict[str, float | None] = {}
     for term in model.terms:
-        if not isinstance(term, Bending):
+        if not isinstance(term, Bending) or term.sheet.dim == 2:
             continue
         kappa = term.curvature(x)
         found["largest_curvature_1_per_mm"] = float(np.abs(kappa).max())
@@ -170,14 +171,39 @@ def max_penetration(model: Model, x: FloatArray) -> float:
     return max([0.0, *(float(contact.penetration(x).max()) for contact in model.contacts)])
 
 
-def chord_penetration(model: Model, x: FloatArray) -> float:
-    """Deepest penetration at the middle of an element edge, mm: chords cut fillets."""
+def chord_penetration(model: Model, x: FloatArray, fibres: bool = False) -> float:
+    """Deepest penetration at the middle of an element edge, mm: chords cut fillets.
+
+    With `fibres` only at edges that are chords of a fibre; a diagonal carries none.
+    """
     deepest, half = 0.0, 0.5 * model.sheet.fabric.thickness
-    middles = model.sheet.positions(x)[model.sheet.blank.mesh.facets.T].mean(1)
+    blank = model.sheet.blank
+    if fibres and blank.pairs is None:
+        edges = np.vstack([blank.fibre_lines(family).t.T for family in ("warp", "weft")])
+    else:
+        edges = blank.mesh.facets.T
+    middles = model.sheet.positions(x)[edges].mean(1)
     for contact in model.contacts:
         y = contact.in_tool_frame(x, middles - contact.origin(x))
         deepest = max(deepest, half - float(contact.distance(y)[0].min()))
     return deepest
+
+
+def bent_radius(model: Model, x: FloatArray) -> float:
+    """Smallest radius that the sheet bends over, mm; inf if it touches flat faces only.
+
+    Of each tool, that with at least a twentieth of the contact force on it or on sharper ones:
+    facets of a surface file are no fillets.
+    """
+    sharpest = 0.0
+    for contact in model.contacts:
+        touching = contact.active(x)
+        if not touching.size:
+            continue
+        bend = np.linalg.norm(contact.at(x)[3][touching], 2, axis=(1, 2))
+        force = (contact.area * contact.pressure(x))[touching]
+        sharpest = max(sharpest, percentile(bend, force, 1 - LEAST_FORCE))
+    return 1.0 / sharpest - 0.5 * model.sheet.fabric.thickness if sharpest > 1e-9 else np.inf
 
 
 def resting_tools(

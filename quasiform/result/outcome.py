@@ -50,6 +50,10 @@ class Outcome:
     estimate: dict[str, float | None] = field(
         default_factory=lambda: {"shear_angle_deg": None, "force_N": None}
     )
+    energy: float = 0.0
+    lower: float = 0.0
+    path_gap: dict[str, float] = field(default_factory=dict)
+    in_plane: dict[str, dict[str, float]] = field(default_factory=dict)
     shear_angle_error: FloatArray | None = None
     spread: dict[str, dict[str, float | bool]] = field(default_factory=dict)
     path: Outcome | None = None

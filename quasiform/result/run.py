@@ -52,10 +52,17 @@ class Result(Outcome):
         open balance of that increment: from_mm, to_mm, released_mJ.
     collapse : dict or None
         Where and when a triangle first passed 85 degrees or turned over.
+    energy, lower : float
+        Stored at the end, and how much less the lowest state of perturbed starts has, mJ.
+    path_gap : dict
+        What each of the `quantities` hangs on the mesh of the path; part of the estimate. Empty
+        where the path was followed on this mesh.
     estimate : dict
         Error of the mesh of each of the `quantities`, above all `shear_angle_deg` (of the 99th
         percentile) and `force_N`, from coarser meshes (`estimate.discretisation_error`); None if
         not estimated.
+    in_plane : dict of quantity to dict
+        Its values with two numbers for the in-plane bending, on a coarse mesh; empty if unknown.
     shear_angle_error : (n_triangles,) array or None
         The same of the shear angle, degrees.
     spread : dict

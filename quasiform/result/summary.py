@@ -42,7 +42,8 @@ def summarise(result: Outcome, certificate: Certificate) -> dict[str, Any]:
             "p99": percentile(gamma, areas, 0.99),
             "mean": float(areas @ gamma / areas.sum()),
         },
-        "error_estimate": {name: result.estimate[name] for name in ("shear_angle_deg", "force_N")},
+        "error_estimate": {name: result.estimate[name] for name in ("shear_angle_deg", "force_N")}
+        | path_errors(result),
         "estimated_errors": result.estimate,
         "equilibrium": {
             "residual_relative": result.residual,
@@ -66,6 +67,12 @@ def summarise(result: Outcome, certificate: Certificate) -> dict[str, Any]:
     if model.contacts:
         summary |= _between_tools(result)
     return _finite(summary)
+
+
+def path_errors(result: Outcome) -> dict[str, float | None]:
+    """What p99 and force hang on the mesh of the path: 0 if it is this one, None if unknown."""
+    names = {"path_deg": "shear_angle_deg", "path_N": "force_N"}
+    return {key: result.path_gap.get(name) if result.path else 0.0 for key, name in names.items()}
 
 
 def _between_tools(result: Outcome) -> dict[str, Any]:

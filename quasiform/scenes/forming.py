@@ -18,7 +18,7 @@ import shapely
 
 from ..checks import InputError, check_number
 from ..energy.bending import Bending, PatchBending
-from ..energy.contact import Contact, at_edges, at_nodes, surrounds
+from ..energy.contact import Contact, at_edges, surrounds
 from ..energy.friction import Friction
 from ..energy.membrane import membrane_of
 from ..energy.term import Term
@@ -151,7 +151,7 @@ def formed_between_tools(
         areas=dict(file.areas),
         outputs=file.outputs,
         tools=(tools, from_files),
-        coarsest=min((getattr(tool.shape, "sharpest", 0.0) for tool in tools), default=0.0),
+        coarsest=0.5 * min((getattr(tool.shape, "sharpest", 0.0) for tool in tools), default=0.0),
     )
     _assemble(model, file, tools_in_frame, outline)
     _measure(model)
@@ -208,8 +208,7 @@ def _assemble(model: Model, file: SceneFile, tools: list[Tool], outline: shapely
     """Put energies and supports into a model."""
     sheet = model.sheet
     blank, fabric = sheet.blank, sheet.fabric
-    points = at_nodes(blank)
-    contacts = [Contact(sheet, tool, model.unknowns[tool.name].dofs, points) for tool in tools]
+    contacts = [Contact(sheet, tool, model.unknowns[tool.name].dofs) for tool in tools]
     weights: list[Term] = _rest(model, contacts)
     for contact in contacts:
         if (contact.penetration(model.x0) > fabric.thickness).any():

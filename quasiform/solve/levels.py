@@ -1,13 +1,17 @@
-"""Mesh continuation: the path on a coarse mesh, its end carried to finer ones.
+"""Mesh continuation: the path on a mesh that resolves the fillets, its end carried to finer ones.
 
-With friction as mild as that of a fabric the end state hardly remembers the path, so that a coarse
-mesh may find the way. On each finer mesh only the end is solved. It starts from the unknowns of
-the coarser one, interpolated by cubics (Clough and Tocher) on the flat sheet. Each term with memory
-carries its state over itself: friction starts from the last increment of the path, so that every
-point presses in the direction in which it really slides.
+The path is followed on a mesh of at most half the smallest fillet: on a coarser one the punch force
+rises in stairs, one row of nodes after the other. On each finer mesh only the end is solved, the
+last of it as a small increment with an energy balance of its own. It starts from the unknowns of
+the coarser mesh, interpolated by cubics (Clough and Tocher) on the flat sheet. Each term with
+memory carries its state over itself: friction starts from the last increment of the path, so that
+every point presses in the direction in which it really slides.
 
-The meshes of a run need not be nested. Where the end is not found this way, as when a sheet buckles
-differently on a finer mesh, the path is followed there too, and the result says so.
+Friction remembers the path. How much the end hangs on the mesh of the path is measured one level
+further up: an end that is carried to the mesh of the path, beside the path's own. It is part of the
+estimate (`path_gap`); where it is large, the path is followed on the finer mesh too. So it is where
+the end is not found, as when a sheet buckles differently on a finer mesh. The meshes of a run need
+not be nested.
 """
 
 from __future__ import annotations
@@ -15,6 +19,7 @@ from __future__ import annotations
 import time
 from contextlib import suppress
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -25,15 +30,91 @@ from ..net.transfer import smoothly
 from ..potential import Memory
 from ..result.run import Result, State
 from ..unknowns import Field, FloatArray
+from .dependence import coarse_runs
 from .equilibrium import Equilibrium
-from .increments import CHANGED, Callback, follow, judge, report
+from .increments import Callback, follow, report
 from .journal import Journal
 from .linear import NotConvergedError
 from .run import Run, Settings
 
+GAP = 0.05  # of the force, and
+GAP_DEG = 1.0  # degrees of p99: a larger gap, and the path is followed on the finest mesh too
+LAST = 1 / 16  # of an increment, followed on each finer mesh
 MOST = 100  # Newton iterations of one solve on a finer mesh, before the path is followed there
 FINEST = 16  # of the size asked for, when refining to an accuracy
 CARRIED = 5.0  # mm: length of the last increment that friction starts from, at least a row
+
+
+def solve(
+    model: Model,
+    callback: Callback | None = None,
+    increment: float | None = None,
+    method: Literal["newton", "relaxation"] = "newton",
+    linear: str = "auto",
+    tolerance: float = 1e-4,
+    convex: Literal["on demand", "always", "never"] = "on demand",
+    estimate: bool = True,
+    perturbation: float = 0.0,
+    seed: int = 0,
+    out: str | Path | Journal | None = None,
+    resume: bool = False,
+) -> Result:
+    """Follow the travel of a model to its end.
+
+    Parameters
+    ----------
+    model : Model
+    callback : callable, optional
+        Called with the `Progress` after each increment. It stops the run there by returning True,
+        or the reason as a text. What it changes of the model's terms counts from the next
+        increment on.
+        If it has a method `stage`, that is called with a text on what follows the travel.
+    increment : float, optional
+        Size of the increments in units of the travel; the model's own choice if not given.
+        A history row is kept for each; else rows fall on the model's round values.
+    method : "newton" or "relaxation"
+        "relaxation" solves every increment by dynamic relaxation alone.
+    linear : str
+        Linear solver: "auto", "pardiso" or "superlu".
+    tolerance : float
+        Sum of the nodal residuals relative to the driving force.
+    convex : "on demand", "always" or "never"
+        When the convex tangent takes the place of the exact one.
+    estimate : bool
+        Solve the model on two coarser meshes too; the differences are the error estimate. Also
+        solve it on the coarsest with another in-plane bending (`Result.in_plane`).
+    perturbation : float
+        Noise on every node at the start of every increment's solve, mm (standard deviation): what
+        changes with it is one of several states.
+    seed : int
+        Of the noise.
+    out : path or Journal, optional
+        Folder in which the run is recorded increment by increment; a run that was killed is
+        continued from there.
+    resume : bool
+        Continue the run of this model in `out`.
+
+    Returns
+    -------
+    Result
+        With `status` "completed", or "stopped" and the `reason`.
+
+    Raises
+    ------
+    InputError
+        For a bad setting, for a folder that cannot be written or holds a result already, and with
+        `resume` for one that holds no such run.
+    """
+    settings = Settings(increment, method, linear, tolerance, convex, perturbation, seed)
+    if resume and (out is None or isinstance(out, Journal)):
+        raise InputError("resume needs the folder of a run as `out`")
+    journal = out if isinstance(out, Journal) or out is None else Journal(out, resume=resume)
+    result = follow(model, settings, callback, journal)
+    if estimate and not result.reason:
+        result.judge(coarse_runs(result, settings, callback))
+    if journal:
+        journal.close(result)
+    return result
 
 
 def refine(
@@ -79,11 +160,7 @@ def refine(
     settings = Settings(increment, linear=linear, tolerance=tolerance)
     journal = out if isinstance(out, Journal) or out is None else Journal(out, resume=resume)
     clock -= journal.recorded.get("elapsed", 0.0) if journal else 0.0
-    if model.changed:
-        result = follow(model, settings, callback, journal)
-        result.notes.append(CHANGED)
-    else:
-        result = _refined(model, callback, accuracy, settings, journal)
+    result = _refined(model, callback, accuracy, settings, journal)
     _check_accuracy(result, accuracy)
     result.wall_s = time.perf_counter() - clock
     if journal:
@@ -100,7 +177,9 @@ def _refined(
 ) -> Result:
     """Level by level, with the estimate."""
     models = [model]
-    while 2 * models[0].size <= model.coarsest * (1 + 1e-9):  # worth following the path there
+    while not model.changed and 2 * models[0].size <= model.coarsest * (
+        1 + 1e-9
+    ):  # worth following the path there
         try:
             models.insert(0, model.recipe.build(2 * models[0].size, like=model))
         except InputError:  # too coarse for the blank
@@ -109,10 +188,12 @@ def _refined(
         journal.goal = f" on a mesh of {models[0].size:g} mm, the way to one of {model.size:g} mm"
     path = follow(models[0], settings, callback, journal)
     levels, last = [path], _last_increment(path)
+    coarser = [] if path.reason else coarse_runs(path, settings, callback)
     waiting = models[1:]
     while not levels[-1].reason:
+        levels[-1].judge([*coarser, *levels[:-1]])
         size = levels[-1].model.size / 2
-        if not waiting and size >= model.size / FINEST and _worth_refining(levels, accuracy):
+        if not waiting and size >= model.size / FINEST and _worth_refining(levels[-1], accuracy):
             with suppress(InputError):  # the user's own mesh has one size only
                 waiting = [model.recipe.build(size, like=model)]
         if not waiting:
@@ -129,19 +210,46 @@ def _refined(
             break
         levels.append(result)
     result = levels[-1]
-    result.judge(levels[:-1])
-    if len(levels) == 1 and not result.reason:
-        judge(result, settings, callback, 2 * model.size)
+    if result.path and coarser:
+        gap = _path_gap(coarser[0], result, settings, callback)
+        if not result.reason and _matters(gap, result):
+            report(
+                callback, f"friction's path matters: followed on a mesh of {result.model.size:g} mm"
+            )
+            followed = follow(result.model, settings, callback)
+            followed.add_work(result)
+            if not followed.reason:
+                result, gap = followed, dict.fromkeys(gap, 0.0)
+                levels[-1] = result
+                result.rescues["path followed on the finer mesh"] = 1
+        result.path_gap = gap
+        result.in_plane, result.notes = levels[0].in_plane, levels[0].notes
+    result.judge([*coarser, *levels[:-1]])
     return result
 
 
-def _worth_refining(levels: list[Result], accuracy: float | None) -> bool:
+def _path_gap(
+    coarse: Result, result: Result, settings: Settings, callback: Callback | None
+) -> dict[str, float]:
+    """What the end on the path's mesh hangs on the mesh of the path, by quantity."""
+    path = result.path
+    report(callback, f"friction's path: the end carried from {coarse.model.size:g} mm")
+    carried, *_ = _carry(coarse, path.model, _last_increment(coarse), coarse, None, settings)
+    result.add_work(carried)
+    ends = carried.quantities, path.quantities
+    return {name: abs(ends[0][name] - ends[1][name]) for name in ends[0] if name in ends[1]}
+
+
+def _matters(gap: dict[str, float], result: Result) -> bool:
+    return gap["force_N"] > GAP * abs(result.force) or gap["shear_angle_deg"] > GAP_DEG
+
+
+def _worth_refining(result: Result, accuracy: float | None) -> bool:
     """Whether an accuracy is asked for, not reached yet, and can be judged."""
-    if accuracy is None or levels[-1].collapse:
+    if accuracy is None or result.collapse:
         return False
-    levels[-1].judge(levels[:-1])
-    error = levels[-1].estimate["shear_angle_deg"]
-    return len(levels) == 1 if error is None else error > accuracy
+    error = result.estimate["shear_angle_deg"]
+    return result.path is None if error is None else error > accuracy
 
 
 def _check_accuracy(result: Result, accuracy: float | None) -> None:
@@ -158,9 +266,18 @@ def _check_accuracy(result: Result, accuracy: float | None) -> None:
 
 def _last_increment(path: Result) -> FloatArray:
     """(n_dofs,) motion of all unknowns over the last increment of a path, mm."""
-    end = path.states[-1]
-    rows = [s for s in path.states if s.travel <= end.travel - CARRIED * (1 - 1e-9)]
-    return end.x - (rows[-1] if rows else path.states[0]).x
+    return path.states[-1].x - _before(path).x
+
+
+def _before(path: Result) -> State:
+    """State from which the last increment of a path leads to its end."""
+    end = path.states[-1].travel
+    rows = [s for s in path.states if s.travel <= end - CARRIED * (1 - 1e-9)]
+    return (rows or path.states)[-1 if rows else 0]
+
+
+def _length(path: Result) -> float:
+    return path.states[-1].travel - _before(path).travel
 
 
 def _carry(
@@ -182,10 +299,16 @@ def _carry(
     start = _start(model, path)
     try:
         x, before = transferred(coarse, model, last)
+        end, step = equations.travel, LAST * min(model.increment, model.travel)
+        if length := _length(path):
+            x = x - step / length * (x - before)
+        equations.travel = end - step
+        x = np.where(model.fixed, model.prescribed(end - step)[0], x)
         run.memory = carried(coarse, model, last, x, before)
         equations.take(run.memory)
-        x = run.settle(x)
-        if lost := model.lost(x):
+        run.open(run.settle(x), end - step)
+        run.advance(end, [], weigh=False)
+        if lost := model.lost(run.x):
             raise NotConvergedError(lost)
     except NotConvergedError:
         report(callback, f"its end was not found: the path on a mesh of {model.size:g} mm")
@@ -193,15 +316,14 @@ def _carry(
         result.rescues["path followed on the finer mesh"] = 1
         last, failed = _last_increment(result), equations.tangent.factorisations
     else:
-        run.open(x, equations.travel)
-        run.account.collapse = path.collapse or model.collapsed(x, equations.travel)
+        run.account.collapse = path.collapse or run.account.collapse
         run.states = [State(0.0, start, 0.0, 0, {n: m(start) for n, m in model.measures.items()})]
         run.keep()
         result = run.result("", time.perf_counter() - clock)
-        result.path, result.energy_balance = path, path.energy_balance
+        result.path = path
         result.stabilisation, result.snaps = path.stabilisation, path.snaps
         result.increments = path.increments + 1
-        last, failed = x - before, 0
+        last, failed = run.x - before, 0
     result.add_work(coarse, failed)
     result.rescues = {
         rung: result.rescues.get(rung, 0) + coarse.rescues.get(rung, 0)

@@ -258,6 +258,7 @@ class Run:
             residual=equations.residual(g, certified=True),
             settings=asdict(self.settings) | {"linear": tangent.solver.name},
             energy_balance=abs(account.gap) / max(abs(account.work), 1e-12),
+            energy=account.stored,
             stabilisation=account.damped / max(abs(account.stored), 1e-12),
             snaps=account.snaps,
             negative_pivots=equations.certify(x),
