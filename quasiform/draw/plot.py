@@ -495,7 +495,7 @@ def frame(axes: Axes, points: FloatArray, view: FloatArray | None = None) -> Non
 def draw_force(
     axes: Axes, run: Record, look: dict[str, Any], label: str | None = None, tail: str | None = None
 ) -> None:
-    """Force over travel; faded from a collapse on, hollow where it is that of a coarser mesh."""
+    """Force over travel with its error; faded from a collapse on, hollow on a coarser mesh."""
     travel, force = run.history[run.travel_name], run.history["force_N"]
     n = sound_rows(run)
     first = int(axes.get_yscale() == "log")  # no force at the start
@@ -505,6 +505,10 @@ def draw_force(
     if n < len(travel):
         faded = {"color": look["color"], "linestyle": ":", "alpha": 0.6}
         axes.plot(travel[n - 1 :], force[n - 1 :], **faded, label=tail)
+    if (error := run.history.get("force_error_N")) is not None:
+        low, high = force - error, force + error
+        band = {"color": look["color"], "alpha": 0.15, "linewidth": 0}
+        axes.fill_between(travel[first:n], low[first:n], high[first:n], **band)
     sizes = run.history.get("size_mm", np.zeros(len(travel)))
     coarse = (sizes > sizes[-1] * (1 + 1e-9))[first:n]
     if coarse.any():

@@ -55,6 +55,7 @@ class Outcome:
     path_gap: dict[str, float] = field(default_factory=dict)
     in_plane: dict[str, dict[str, float]] = field(default_factory=dict)
     shear_angle_error: FloatArray | None = None
+    force_errors: FloatArray | None = None
     spread: dict[str, dict[str, float | bool]] = field(default_factory=dict)
     path: Outcome | None = None
     factorisations: dict[str, int] = field(default_factory=dict)
@@ -109,6 +110,8 @@ class Outcome:
         for name in self.model.measures:
             columns[name] = [s.measures[name] for s in rows]
         columns["linear_solves"] = [s.linear_solves for s in rows]
+        if self.force_errors is not None:
+            columns["force_error_N"] = list(self.force_errors)
         if self.path is not None:
             columns["size_mm"] = [*[self.path.model.size] * (len(rows) - 1), self.model.size]
         return {name: np.array(values) for name, values in columns.items()}

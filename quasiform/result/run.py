@@ -65,6 +65,8 @@ class Result(Outcome):
         Its values with two numbers for the in-plane bending, on a coarse mesh; empty if unknown.
     shear_angle_error : (n_triangles,) array or None
         The same of the shear angle, degrees.
+    force_errors : (n_rows,) array or None
+        The same of the force in each row of the history, N; nan where unknown.
     spread : dict
         Scatter of the `quantities` over perturbed starts, where it was asked for (`solve.spread`).
     path : Result or None
@@ -113,6 +115,7 @@ class Result(Outcome):
         """Estimate the error of the mesh from coarser results, as `estimate.judged` does."""
         better = judged(self, coarser)
         self.estimate, self.shear_angle_error = better.estimate, better.shear_angle_error
+        self.force_errors = better.force_errors
 
     def summary(self) -> dict[str, Any]:
         """Contents of `summary.json`."""
