@@ -164,7 +164,7 @@ def spoken(quantity: str) -> str:
 def trust(result: Outcome) -> list[str]:
     """What limits the numbers of a run, one sentence each."""
     found = [
-        f"the mesh error of {spoken(name)} is {100 * error / max(abs(value), 1e-9):.0f} % of its value"
+        f"the mesh error of {spoken(name)} is {error:.2g} at a value of {value:.3g}"
         for name, value in result.quantities.items()
         if (error := result.estimate.get(name)) and error > max(WIDE * abs(value), SMALL)
     ]

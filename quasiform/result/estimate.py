@@ -11,33 +11,38 @@ from .measures import nodal
 from .outcome import Outcome
 
 FloatArray = np.ndarray
+SAFETY = 1.25
 
 
-def judged(result: Outcome, coarser: Sequence[Outcome]) -> Outcome:
-    """Return a result with the error of its mesh, from the same model on coarser meshes.
+def judged(result: Outcome, coarser: Sequence[Outcome], finer: Outcome | None = None) -> Outcome:
+    """Return a result with the error of its mesh, from the same model on other meshes.
 
-    The coarsest comes first. It stays without an estimate where the coarse model is another one (a
-    user has added terms or changed the travel) or stopped early, or where one of the two has
-    collapsed. What the end depends on the mesh of the path (`path_gap`) is part of the estimate.
+    The coarsest comes first. The end on a finer mesh is the better witness where there is one. It
+    stays without an estimate where the other model is another one (a user has added terms or
+    changed the travel) or stopped early, or where one of the two has collapsed. What the end
+    depends on the mesh of the path (`path_gap`) is part of the estimate.
     """
     levels = [result]
     for coarse in reversed(coarser):
         if not _comparable(result, coarse):
             break
         levels.append(coarse)
+    if finer is not None and not (finer.reason or finer.collapse):
+        levels = [finer, *levels]
     if len(levels) < 2 or result.reason or result.collapse:
         return result
     sizes, values = [level.model.size for level in levels], [level.quantities for level in levels]
+    own = levels.index(result)
     estimate = {
-        name: float(discretisation_error([v[name] for v in values], sizes))
+        name: float(discretisation_error([v[name] for v in values], sizes, own))
         + result.path_gap.get(name, 0.0)
         for name in values[0]
         if all(name in v for v in values)
     }
     blank = result.blank
-    fields = [nodal(blank, result.shear_angle)]
-    fields += [level.shear_angle_at(blank.nodes) for level in levels[1:]]
-    error = discretisation_error(fields, sizes)[blank.triangles].mean(1)
+    fields = [level.shear_angle_at(blank.nodes) for level in levels]
+    fields[own] = nodal(blank, result.shear_angle)
+    error = discretisation_error(fields, sizes, own)[blank.triangles].mean(1)
     return replace(
         result,
         estimate=estimate,
@@ -49,7 +54,7 @@ def judged(result: Outcome, coarser: Sequence[Outcome]) -> Outcome:
 def _force_errors(result: Outcome, levels: Sequence[Outcome], end: float) -> FloatArray:
     """(n_rows,) error of the force in each row of the history, N."""
     path = result.path or result
-    along = [level for level in levels if level.model.size >= path.model.size and not level.path]
+    along = [path, *(level for level in levels if level.model.size > path.model.size)]
     travel = [run.states[i].travel for run, i in result.followed]
     error = np.full(len(travel), np.nan)
     if len(along) > 1:
@@ -76,31 +81,41 @@ def _comparable(fine: Outcome, coarse: Outcome) -> bool:
 
 
 def discretisation_error(
-    values: Sequence[FloatArray | float], sizes: Sequence[float]
+    values: Sequence[FloatArray | float], sizes: Sequence[float], own: int = 0
 ) -> FloatArray | float:
     """Error of the mesh from the same quantity on meshes of ascending sizes, the finest first.
 
-    The difference d of the two finest, whose sizes have the ratio ρ, is continued by the factor
-    r = d/d' by which it fell from the one before, over three more halvings of the mesh:
-    error = 5/4 d (r + r² + ...), with the safety factor of the grid convergence index [1]_.
-    d' is that of the second mesh to the one nearest to ρ times its size. r is at least 1/ρ²
-    (second order) and at most one: where a boundary layer is not resolved yet, differences do not
-    fall for a while. Where two meshes happen to agree, d'/ρ² is used. Two meshes alone have no r:
-    the error is twice that of first order, 2 d/(ρ - 1).
+    `values` holds at least two numbers or (n,) arrays; the error is that of number `own`.
 
-    `values` holds at least two numbers or (n,) arrays.
+    With one mesh that is finer, by the ratio ρ of the sizes, the difference d to it shows the
+    error: 5/4 d ρ/(ρ - 1), for an error of first order, with the safety factor of the grid
+    convergence index [1]_. Where both happen to agree, a quarter of what a coarser mesh would say
+    at second order, d/(ρ² - 1), is used.
+
+    Without one, the difference d of the two finest is continued by the factor r = d/d' by which it
+    fell from the one before, over three more halvings of the mesh: error = 5/4 d (r + r² + ...).
+    d' is that of the second mesh to the one nearest to ρ times its size. r is at least 1/ρ² (second
+    order) and at most one: where a boundary layer is not resolved yet, differences do not fall for
+    a while. Where two meshes happen to agree, d'/ρ² is used. Two meshes alone have no r:
+    5/4 d/(ρ - 1).
 
     References
     ----------
     .. [1] P. J. Roache, Journal of Fluids Engineering 116 (1994) 405-413.
     """
-    last, ratio = np.abs(np.subtract(values[0], values[1])), sizes[1] / sizes[0]
+    steps = np.abs(np.diff(np.stack([np.asarray(v) for v in values]), axis=0))
+    ratios = np.divide(sizes[1:], sizes[:-1])
+    if own:
+        floor = steps[own] / (ratios[own] ** 2 - 1) / 4 if own < len(steps) else 0.0
+        error = SAFETY * steps[own - 1] * ratios[own - 1] / (ratios[own - 1] - 1)
+        return np.maximum(error, floor)[()]
+    last, ratio = steps[0], ratios[0]
     if len(values) == 2:
-        return 2.0 * last / (ratio - 1.0)
+        return (SAFETY * last / (ratio - 1.0))[()]
     third = 2 + int(np.argmin(np.abs(np.log(np.array(sizes[2:]) / (ratio * sizes[1])))))
     before = np.abs(np.subtract(values[1], values[third]))
     lowest = ratio**-2.0
     last = np.maximum(last, before * lowest)
     r = np.clip(np.divide(last, before, out=np.ones_like(last), where=before > 0), lowest, 1.0)
-    steps = range(1, 1 + max(round(np.log(8.0) / np.log(ratio)), 1))
-    return (1.25 * last * sum(r**k for k in steps))[()]
+    count = max(round(np.log(8.0) / np.log(ratio)), 1)
+    return (SAFETY * last * sum(r**k for k in range(1, count + 1)))[()]

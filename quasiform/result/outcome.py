@@ -58,6 +58,7 @@ class Outcome:
     force_errors: FloatArray | None = None
     spread: dict[str, dict[str, float | bool]] = field(default_factory=dict)
     path: Outcome | None = None
+    last: FloatArray | None = None
     factorisations: dict[str, int] = field(default_factory=dict)
     memory: tuple[Any, ...] = ()
     notes: list[tuple[str, str]] = field(default_factory=list)

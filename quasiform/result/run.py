@@ -71,6 +71,8 @@ class Result(Outcome):
         Scatter of the `quantities` over perturbed starts, where it was asked for (`solve.spread`).
     path : Result or None
         Where only the end was solved on this mesh: the way there on a coarser one.
+    last : (n_dofs,) array or None
+        Motion over the last increment, where only the end was solved on this mesh, mm.
     factorisations : dict of mesh to count
         Numeric factorisations by mesh, such as {"10 mm": 295, "5 mm": 27}.
     memory : tuple
@@ -111,9 +113,9 @@ class Result(Outcome):
             "unit": [units[name.rpartition("_")[2]] for name in found],
         }
 
-    def judge(self, coarser: list[Result]) -> None:
-        """Estimate the error of the mesh from coarser results, as `estimate.judged` does."""
-        better = judged(self, coarser)
+    def judge(self, coarser: list[Result], finer: Result | None = None) -> None:
+        """Estimate the error of the mesh from results on others, as `estimate.judged` does."""
+        better = judged(self, coarser, finer)
         self.estimate, self.shear_angle_error = better.estimate, better.shear_angle_error
         self.force_errors = better.force_errors
 

@@ -1,4 +1,8 @@
-"""What the numbers of a run depend on: runs on coarser meshes, and with other in-plane bending."""
+"""What the numbers of a run depend on: the mesh, and in-plane bending.
+
+The mesh: the same run on a coarser one, and its end carried to a finer one. In-plane bending: the
+run on the coarser mesh again, with another value.
+"""
 
 from __future__ import annotations
 
@@ -8,42 +12,64 @@ from ..checks import InputError
 from ..energy.bending import Bending
 from ..fabric import Fabric
 from ..result.run import Result
+from .carry import carry
 from .increments import Callback, follow, report
+from .linear import NotConvergedError
 from .run import Settings
 
-COARSER = (2**0.5, 2.0)  # sizes of the meshes for the error, of that of the path
+COARSER, FINER = 2**0.5, 0.5  # sizes of the other meshes
 OTHER = 10 / 3  # times the in-plane bending: the other value
+INTERRUPTED = "interrupted while the error of the mesh was estimated"
 CHANGED = (
     "error of the mesh not estimated",
     "the model was changed by hand, or has no recipe (Model.including makes a change part of it)",
 )
 
 
-def coarse_runs(result: Result, settings: Settings, callback: Callback | None) -> list[Result]:
-    """Runs of the same model on coarser meshes, as far as they can be built; the coarsest first.
+def coarser_run(result: Result, settings: Settings, callback: Callback | None) -> list[Result]:
+    """Run of the same model on a coarser mesh; no run where none can be built or completed.
 
-    Their work is added to the result. On the coarsest the model is solved with another in-plane
-    bending too, and the result keeps what changes (`Outcome.in_plane`). A model that was changed by
-    hand has no coarser meshes; a note says so. An interruption ends the result with its reason.
+    The model is solved there with another in-plane bending too, and the result keeps what changes
+    (`Outcome.in_plane`) and all the work. A model that was changed by hand has no coarser mesh; a
+    note says so. An interruption ends the result with its reason.
     """
-    model, coarser = result.model, list[Result]()
-    if model.changed:
+    if result.model.changed:
         result.notes.append(CHANGED)
-        return coarser
+        return []
     try:
-        for ratio in COARSER:
-            size = ratio * model.size
-            report(callback, f"error of the mesh: the same at {size:.3g} mm")
-            coarser.insert(0, follow(model.recipe.build(size, like=model), settings, partial=False))
-            result.add_work(coarser[0])
-            if coarser[0].reason:
-                return coarser
-        _vary_in_plane(result, coarser[0], settings, callback)
-    except InputError:  # too coarse to be built: the result stands with what there is
-        pass
+        model = result.model.recipe.build(COARSER * result.model.size, like=result.model)
+        report(callback, f"error of the mesh: the same at {model.size:.3g} mm")
+        coarse = follow(model, settings, partial=False)
+        result.add_work(coarse)
+        if not coarse.reason:
+            _vary_in_plane(result, coarse, settings, callback)
+    except InputError:  # too coarse to be built, or the user's own mesh
+        return []
     except KeyboardInterrupt:
-        result.reason = "interrupted while the error of the mesh was estimated"
-    return coarser
+        result.reason = INTERRUPTED
+        return []
+    return [coarse]
+
+
+def finer_end(result: Result, settings: Settings, callback: Callback | None) -> Result | None:
+    """End of a result on a finer mesh; None where none can be built, or its end is not found."""
+    if result.model.changed or result.reason:
+        return None
+    try:
+        model = result.model.recipe.build(FINER * result.model.size, like=result.model)
+        report(callback, f"error of the mesh: the end at {model.size:.3g} mm")
+        finer = carry(result, model, settings)
+    except InputError:
+        return None
+    except NotConvergedError as error:
+        result.notes.append(("end not found on a finer mesh", str(error)))
+        result.factorisations[f"{model.size:g} mm"] = error.work
+        return None
+    except KeyboardInterrupt:
+        result.reason = INTERRUPTED
+        return None
+    result.add_work(finer)
+    return finer
 
 
 def _vary_in_plane(

@@ -1,17 +1,13 @@
 """Mesh continuation: the path on a mesh that resolves the fillets, its end carried to finer ones.
 
 The path is followed on a mesh of at most half the smallest fillet: on a coarser one the punch force
-rises in stairs, one row of nodes after the other. On each finer mesh only the end is solved, the
-last of it as a small increment with an energy balance of its own. It starts from the unknowns of
-the coarser mesh, interpolated by cubics (Clough and Tocher) on the flat sheet. Each term with
-memory carries its state over itself: friction starts from the last increment of the path, so that
-every point presses in the direction in which it really slides.
+rises in stairs, one row of nodes after the other. On each finer mesh only the end is solved
+(`carry`).
 
-Friction remembers the path. How much the end hangs on the mesh of the path is measured one level
+Friction remembers the path. How much the end depends on the mesh of the path is measured one level
 further up: an end that is carried to the mesh of the path, beside the path's own. It is part of the
 estimate (`path_gap`); where it is large, the path is followed on the finer mesh too. So it is where
-the end is not found, as when a sheet buckles differently on a finer mesh. The meshes of a run need
-not be nested.
+the end is not found, as when a sheet buckles differently on a finer mesh.
 """
 
 from __future__ import annotations
@@ -21,28 +17,19 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
-
 from ..checks import InputError, check_number
-from ..energy.term import Standing
 from ..model import Model
-from ..net.transfer import smoothly
-from ..potential import Memory
-from ..result.run import Result, State
-from ..unknowns import Field, FloatArray
-from .dependence import coarse_runs
-from .equilibrium import Equilibrium
+from ..result.run import Result
+from .carry import carry
+from .dependence import coarser_run, finer_end
 from .increments import Callback, follow, report
 from .journal import Journal
 from .linear import NotConvergedError
-from .run import Run, Settings
+from .run import Settings
 
 GAP = 0.05  # of the force, and
 GAP_DEG = 1.0  # degrees of p99: a larger gap, and the path is followed on the finest mesh too
-LAST = 1 / 16  # of an increment, followed on each finer mesh
-MOST = 100  # Newton iterations of one solve on a finer mesh, before the path is followed there
 FINEST = 16  # of the size asked for, when refining to an accuracy
-CARRIED = 5.0  # mm: length of the last increment that friction starts from, at least a row
 
 
 def solve(
@@ -81,8 +68,8 @@ def solve(
     convex : "on demand", "always" or "never"
         When the convex tangent takes the place of the exact one.
     estimate : bool
-        Solve the model on two coarser meshes too; the differences are the error estimate. Also
-        solve it on the coarsest with another in-plane bending (`Result.in_plane`).
+        Solve the model on a coarser mesh too, and its end on a finer one; the differences are the
+        error estimate. Also solve it with another in-plane bending (`Result.in_plane`).
     perturbation : float
         Noise on every node at the start of every increment's solve, mm (standard deviation): what
         changes with it is one of several states.
@@ -111,7 +98,8 @@ def solve(
     journal = out if isinstance(out, Journal) or out is None else Journal(out, resume=resume)
     result = follow(model, settings, callback, journal)
     if estimate and not result.reason:
-        result.judge(coarse_runs(result, settings, callback))
+        coarser = coarser_run(result, settings, callback)
+        result.judge(coarser, finer_end(result, settings, callback))
     if journal:
         journal.close(result)
     return result
@@ -187,11 +175,12 @@ def _refined(
     if journal and len(models) > 1:
         journal.goal = f" on a mesh of {models[0].size:g} mm, the way to one of {model.size:g} mm"
     path = follow(models[0], settings, callback, journal)
-    levels, last = [path], _last_increment(path)
-    coarser = [] if path.reason else coarse_runs(path, settings, callback)
+    levels = [path]
+    coarser = [] if path.reason else coarser_run(path, settings, callback)
     waiting = models[1:]
     while not levels[-1].reason:
-        levels[-1].judge([*coarser, *levels[:-1]])
+        finer = None if waiting or len(levels) > 1 else finer_end(path, settings, callback)
+        levels[-1].judge([*coarser, *levels[:-1]], finer)
         size = levels[-1].model.size / 2
         if not waiting and size >= model.size / FINEST and _worth_refining(levels[-1], accuracy):
             with suppress(InputError):  # the user's own mesh has one size only
@@ -201,7 +190,7 @@ def _refined(
         finer = waiting.pop(0)
         report(callback, f"the end on a mesh of {finer.size:g} mm")
         try:
-            result, path, last = _carry(levels[-1], finer, last, path, callback, settings)
+            result = _end(levels[-1], finer, callback, settings)
         except KeyboardInterrupt:
             levels[-1].reason = f"interrupted on a mesh of {finer.size:g} mm"
             break
@@ -210,38 +199,58 @@ def _refined(
             break
         levels.append(result)
     result = levels[-1]
-    if result.path and coarser:
-        gap = _path_gap(coarser[0], result, settings, callback)
-        if not result.reason and _matters(gap, result):
-            report(
-                callback, f"friction's path matters: followed on a mesh of {result.model.size:g} mm"
-            )
-            followed = follow(result.model, settings, callback)
-            followed.add_work(result)
-            if not followed.reason:
-                result, gap = followed, dict.fromkeys(gap, 0.0)
-                levels[-1] = result
-                result.rescues["path followed on the finer mesh"] = 1
-        result.path_gap = gap
-        result.in_plane, result.notes = levels[0].in_plane, levels[0].notes
-    result.judge([*coarser, *levels[:-1]])
+    if result.path and coarser and not result.reason:
+        result = _with_path_gap(coarser[0], result, settings, callback)
+    if result is not path:
+        result.in_plane, result.notes = path.in_plane, path.notes
+        result.judge([*coarser, *levels[:-1]])
     return result
 
 
-def _path_gap(
+def _end(source: Result, model: Model, callback: Callback | None, settings: Settings) -> Result:
+    """Solve the end of a model from that of a coarser one; follow the path where that fails."""
+    failed = 0
+    try:
+        result = carry(source, model, settings)
+    except NotConvergedError as error:
+        report(callback, f"its end was not found: the path on a mesh of {model.size:g} mm")
+        result, failed = follow(model, settings, callback), error.work
+        result.rescues["path followed on the finer mesh"] = 1
+    result.add_work(source, failed)
+    result.rescues = {
+        rung: result.rescues.get(rung, 0) + source.rescues.get(rung, 0)
+        for rung in [*source.rescues, *result.rescues]
+    }
+    return result
+
+
+def _with_path_gap(
     coarse: Result, result: Result, settings: Settings, callback: Callback | None
-) -> dict[str, float]:
-    """What the end on the path's mesh hangs on the mesh of the path, by quantity."""
-    path = result.path
-    report(callback, f"friction's path: the end carried from {coarse.model.size:g} mm")
-    carried, *_ = _carry(coarse, path.model, _last_increment(coarse), coarse, None, settings)
-    result.add_work(carried)
-    ends = carried.quantities, path.quantities
-    return {name: abs(ends[0][name] - ends[1][name]) for name in ends[0] if name in ends[1]}
+) -> Result:
+    """Add what the end depends on the mesh of the path; follow the path here if that is much.
 
-
-def _matters(gap: dict[str, float], result: Result) -> bool:
-    return gap["force_N"] > GAP * abs(result.force) or gap["shear_angle_deg"] > GAP_DEG
+    It is measured on the mesh of the path: its own end, beside the one carried from a coarser path.
+    """
+    path, finest = result.path, result.model
+    report(callback, f"friction's path: the end carried from {coarse.model.size:.3g} mm")
+    try:
+        other = carry(coarse, path.model, settings)
+    except NotConvergedError as error:
+        result.add_work(path, error.work)
+        return result
+    result.add_work(other)
+    ends = other.quantities, path.quantities
+    scale = 1.0 / (coarse.model.size / path.model.size - 1.0)  # as for an error of first order
+    gap = {n: scale * abs(ends[0][n] - ends[1][n]) for n in ends[0] if n in ends[1]}
+    if gap["force_N"] > GAP * abs(result.force) or gap["shear_angle_deg"] > GAP_DEG:
+        report(callback, f"friction's path matters: followed on a mesh of {finest.size:g} mm")
+        followed = follow(finest, settings, callback)
+        followed.add_work(result)
+        if not followed.reason:
+            followed.rescues["path followed on the finer mesh"] = 1
+            return followed
+    result.path_gap = gap
+    return result
 
 
 def _worth_refining(result: Result, accuracy: float | None) -> bool:
@@ -262,129 +271,3 @@ def _check_accuracy(result: Result, accuracy: float | None) -> None:
         result.reason = f"{wanted}: no estimate of the error"
     elif error > accuracy:
         result.reason = f"{wanted} not reached: estimated {error:.2g} at a size of {size:g} mm"
-
-
-def _last_increment(path: Result) -> FloatArray:
-    """(n_dofs,) motion of all unknowns over the last increment of a path, mm."""
-    return path.states[-1].x - _before(path).x
-
-
-def _before(path: Result) -> State:
-    """State from which the last increment of a path leads to its end."""
-    end = path.states[-1].travel
-    rows = [s for s in path.states if s.travel <= end - CARRIED * (1 - 1e-9)]
-    return (rows or path.states)[-1 if rows else 0]
-
-
-def _length(path: Result) -> float:
-    return path.states[-1].travel - _before(path).travel
-
-
-def _carry(
-    coarse: Result,
-    model: Model,
-    last: FloatArray,
-    path: Result,
-    callback: Callback | None,
-    settings: Settings,
-) -> tuple[Result, Result, FloatArray]:
-    """Solve the end of a model from that of a coarser one; the path too where that fails.
-
-    The result, the path behind it and its last increment.
-    """
-    clock = time.perf_counter()
-    equations = Equilibrium(model, settings.linear, settings.tolerance, max_iterations=MOST)
-    equations.travel = coarse.states[-1].travel
-    run = Run(equations, settings)
-    start = _start(model, path)
-    try:
-        x, before = transferred(coarse, model, last)
-        end, step = equations.travel, LAST * min(model.increment, model.travel)
-        if length := _length(path):
-            x = x - step / length * (x - before)
-        equations.travel = end - step
-        x = np.where(model.fixed, model.prescribed(end - step)[0], x)
-        run.memory = carried(coarse, model, last, x, before)
-        equations.take(run.memory)
-        run.open(run.settle(x), end - step)
-        run.advance(end, [], weigh=False)
-        if lost := model.lost(run.x):
-            raise NotConvergedError(lost)
-    except NotConvergedError:
-        report(callback, f"its end was not found: the path on a mesh of {model.size:g} mm")
-        path = result = follow(model, settings, callback)
-        result.rescues["path followed on the finer mesh"] = 1
-        last, failed = _last_increment(result), equations.tangent.factorisations
-    else:
-        run.account.collapse = path.collapse or run.account.collapse
-        run.states = [State(0.0, start, 0.0, 0, {n: m(start) for n, m in model.measures.items()})]
-        run.keep()
-        result = run.result("", time.perf_counter() - clock)
-        result.path = path
-        result.stabilisation, result.snaps = path.stabilisation, path.snaps
-        result.increments = path.increments + 1
-        last, failed = run.x - before, 0
-    result.add_work(coarse, failed)
-    result.rescues = {
-        rung: result.rescues.get(rung, 0) + coarse.rescues.get(rung, 0)
-        for rung in [*coarse.rescues, *result.rescues]
-    }
-    return result, path, last
-
-
-def transferred(coarse: Result, model: Model, last: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Bring the end of a result to another mesh of the same model, by its last increment.
-
-    The unknowns at the end and one increment earlier, (n_dofs,) arrays, mm.
-    """
-    old, end = coarse.model, coarse.states[-1]
-    x, dx = model.x0.copy(), np.zeros_like(model.x0)
-    for field in model.unknowns.fields:
-        theirs = old.unknowns[field.name]
-        if field.places is None:
-            _check_same(field, theirs)
-            x[field.dofs], dx[field.dofs] = theirs.of(end.x), theirs.of(last)
-            continue
-        both = np.hstack([theirs.of(end.x) - theirs.of(old.x0), theirs.of(last)])
-        moved, increment = np.hsplit(smoothly(theirs.places, both, field.places), 2)
-        x[field.dofs] += moved
-        dx[field.dofs] = np.where(model.fixed[field.dofs], 0.0, increment)
-    x = np.where(model.fixed, model.prescribed(end.travel)[0], x)
-    return x, x - dx
-
-
-def carried(
-    coarse: Result, model: Model, last: FloatArray, x: FloatArray, before: FloatArray
-) -> Memory:
-    """Bring the states of the terms to another mesh, each by its own rule; see `transferred`."""
-    old, end = coarse.model, coarse.states[-1]
-    known: dict[str, list[Standing]] = {}  # several terms may have one name: in their order
-    for term, state in zip(old.terms, coarse.memory, strict=True):
-        was = Standing(term, old.unknowns, state, end.x, end.x - last)
-        known.setdefault(term.name, []).append(was)
-    states = []
-    for term in model.terms:
-        was = known[term.name].pop(0) if known.get(term.name) else None
-        now = Standing(term, model.unknowns, None, x, before)
-        states.append(term.carried(was and was.state, was, now))
-    return tuple(states)
-
-
-def _start(model: Model, path: Result) -> FloatArray:
-    """(n_dofs,) start of the travel, with the resting tools where the path had them."""
-    x = model.x0.copy()
-    for field in model.unknowns.fields:
-        if field.places is None:
-            theirs = path.model.unknowns[field.name]
-            _check_same(field, theirs)
-            x[field.dofs] = theirs.of(path.states[0].x)
-    return x
-
-
-def _check_same(field: Field, theirs: Field) -> None:
-    """Refuse to copy a field without places that has another size on another mesh."""
-    if field.dofs.shape != theirs.dofs.shape:
-        raise InputError(
-            f"field '{field.name}' has {len(theirs.dofs)} unknowns on a coarser mesh and "
-            f"{len(field.dofs)} here: give it places, so that it can be interpolated"
-        )
