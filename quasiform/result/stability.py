@@ -140,8 +140,11 @@ def _runs(
     area = np.bincount(index, blank.areas)
     mean = np.bincount(index, blank.areas * stress * where) / area
     inside = (np.bincount(index, blank.areas * where) > 0.5 * area) & (mean > 0)
-    follows = (np.diff(squares, axis=0) == [0, 1]).all(1) & inside[1:] & inside[:-1]
-    run = np.cumsum(np.append(True, ~follows)) - 1
-    count = np.bincount(run)
-    found = blank.size * count, np.bincount(run, mean) / count
+    # a square without a centroid, where the mesh is out of step, is no end of a run
+    beside = (np.diff(squares, axis=0) <= [0, 2]).all(1)
+    start = np.append(True, ~(beside & inside[1:] & inside[:-1]))
+    run, first = np.cumsum(start) - 1, np.flatnonzero(start)
+    last = np.append(first[1:], len(squares)) - 1
+    length = blank.size * (squares[last, 1] - squares[first, 1] + 1)
+    found = length, np.bincount(run, mean) / np.bincount(run)
     return tuple(np.where(inside, values[run], np.nan)[index] for values in found)
