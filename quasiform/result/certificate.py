@@ -17,7 +17,7 @@ WIDE = 0.2  # of a value: a mesh error beyond this limits the trust in it
 SHARE = 0.005  # of the area: less is not reported
 WRINKLED = "wrinkled, one of many states: perturbed starts show what is robust"
 ROBUST = {"robust": True}  # a quantity without perturbed runs
-FINER = "finer than the mesh shows (wavelengths from {shown:g} mm on)"
+FINER = "finer than the mesh shows (wavelengths from {shown:.3g} mm on)"
 LIMITED = {
     "beyond_identified_range": "sheared beyond {range:g}°, the tested range of the law",
     "bands_may_form": f"so soft in shear that bands may form, {FINER}",
