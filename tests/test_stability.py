@@ -5,17 +5,22 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
 import quasiform as qf
+from quasiform.energy.bending import Bending
+from quasiform.energy.membrane import Membrane
+from quasiform.result.certificate import WRINKLED
 from quasiform.result.measures import waves
 from quasiform.solve import run as running
 from quasiform.solve.equilibrium import Equilibrium, NotConvergedError
 from quasiform.solve.newton import predict, settle
 from quasiform.solve.proximal import Bed, creep
-from validation.stability.scenes import arch
+from quasiform.unknowns import Unknowns
+from validation.stability.scenes import arch, flat_strip
 
 
 def hemisphere(size=20.0, travel=30.0):
@@ -48,8 +53,6 @@ def test_a_gap_that_does_not_fall_with_the_increment_is_a_jump(monkeypatch):
 
 def test_a_saddle_is_left_on_both_sides_alike():
     """A strip that is pressed along its fibres stays exactly flat until it is told to look."""
-    from validation.stability.scenes import flat_strip
-
     scene = flat_strip(10.0, qf.Fabric.preset("locking"))
     result = qf.solve(scene, estimate=False)
     assert result.rescues["saddle left"] >= 1
@@ -105,6 +108,44 @@ def test_a_wrinkled_sheet_is_certified_where_perturbed_starts_agree(monkeypatch)
     assert result.certified
     result.spread["force_N"]["robust"] = False
     assert result.certified.reasons == ("perturbed starts scatter in force_N",)
+
+
+def frame_in_space(shear=40.0):
+    """Picture frame whose sheet may leave its plane."""
+    plane = qf.picture_frame(100.0, shear, size=10.0)
+    sheet = (unknowns := Unknowns()).sheet(plane.sheet.blank, qf.Fabric(), 3)
+    x0, fixed, _ = unknowns.start(sheet)
+    fixed[sheet.dofs] = plane.fixed.reshape(-1, 2)[:, :1]
+
+    def frame(d):
+        given = np.zeros((2, len(x0)))
+        given[:, sheet.dofs[:, :2]] = np.reshape(plane.drive(d), (2, -1, 2))
+        return tuple(given)
+
+    terms = [Membrane(sheet), Bending(sheet)]
+    start = "frame in space", unknowns, [sheet], terms, x0, fixed
+    return qf.Model(*start, frame, plane.travel, 5.0, 5.0)
+
+
+@pytest.mark.parametrize("build", [frame_in_space, partial(flat_strip, 10.0, qf.Fabric())])
+def test_a_sheet_that_buckles_without_contact_has_wrinkled(build):
+    result = qf.solve(build(), estimate=False)
+    height = np.abs(result.positions()[:, 2]).max()
+    assert height > 0.1
+    assert result.wrinkles["buckle_mm"] == pytest.approx(height)
+    assert result.certified.reasons == (WRINKLED,)
+    assert f"the sheet has buckled by {height:.3g} mm" in result.summary()["one_of_many"]
+
+
+def test_a_sheet_that_bends_under_a_load_or_is_held_flat_has_not_wrinkled():
+    for load in (2e-6, 2e-5):  # N/mm²: bent by 13 and by 71 % of its length
+        result = qf.solve(qf.cantilever(120.0, load), estimate=False)
+        assert result.positions()[:, 2].min() < -15
+        assert result.wrinkles["buckle_mm"] == 0.0
+        assert result.certified
+    flat = qf.solve(frame_in_space(5.0), estimate=False)
+    assert 0 < flat.wrinkles["buckle_mm"] < 0.1  # less than a tenth of the thickness
+    assert flat.certified
 
 
 def test_spread_tells_what_is_robust():

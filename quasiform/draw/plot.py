@@ -50,7 +50,8 @@ SCALES = (10, 20, 30, 45, 60, 75, 90)  # ends of the colour scale, degrees
 AZIMUTH, ELEVATION = np.radians(-62.0), np.radians(36.0)
 TRUSTED = "#f2f2f2"
 DOUBTS = {  # later ones lie over earlier ones
-    "unstable_in_shear": ("#9ecae1", "unstable: bands may form"),
+    "bands_may_form": ("#9ecae1", "softening: bands finer than the mesh may form"),
+    "fibres_may_buckle": ("#74c476", "compressed: fibres may buckle, finer than the mesh"),
     "rovings_may_slip": ("#807dba", "steeper than {slip:g}°/mm: rovings may slip"),
     "beyond_identified_range": ("#fdae61", "beyond {range:g}°: law not identified"),
     "collapsed": ("#b2182b", "collapsed"),

@@ -8,6 +8,7 @@ import numpy as np
 
 from .measures import LIFTED, bent_radius, chord_penetration, max_penetration
 from .outcome import Outcome
+from .stability import RESOLVED
 
 RESIDUAL = 1e-3  # of the driving force
 BALANCE = 1e-2  # of the work done
@@ -20,10 +21,12 @@ SMALL = 0.1  # N, degrees or mm: smaller errors are not reported
 SHARE = 0.005  # of the area: less is not reported
 WRINKLED = "wrinkled, one of many states: perturbed starts show what is robust"
 ROBUST = {"robust": True}  # a quantity without perturbed runs
+FINER = "finer than the mesh shows (wavelengths from {shown:.3g} mm on)"
 LIMITED = {
     "beyond_identified_range": "sheared beyond {range:g}°, the tested range of the law",
-    "unstable_in_shear": "unstable in shear: bands may form",
+    "bands_may_form": f"so soft in shear that bands may form, {FINER}",
     "rovings_may_slip": "sheared so unevenly that rovings may slip",
+    "fibres_may_buckle": f"so compressed that fibres may buckle, {FINER}",
 }
 
 
@@ -120,10 +123,17 @@ def _lifted(result: Outcome) -> bool:
 
 
 def _wrinkled(result: Outcome) -> bool:
-    """Whether the flange is lifted and waves; on a coarse mesh it lifts beside a fillet too."""
-    return _lifted(result) and any(
-        result.wrinkles[f"waving_{family}_lines"] for family in ("warp", "weft")
-    )
+    """Whether the flange is lifted and waves; on a coarse mesh it lifts beside a fillet too.
+
+    Or whether a sheet without contact has buckled.
+    """
+    waving = any(result.wrinkles.get(f"waving_{family}_lines") for family in ("warp", "weft"))
+    return (_lifted(result) and waving) or _buckled(result)
+
+
+def _buckled(result: Outcome) -> bool:
+    depth = result.wrinkles.get("buckle_mm", 0.0)
+    return depth > LIFTED * result.model.sheet.fabric.thickness
 
 
 def one_of_many(result: Outcome) -> str:
@@ -138,6 +148,8 @@ def one_of_many(result: Outcome) -> str:
         )
     if _lifted(result):
         signs.append(f"the flange lifts by {result.flange_lift:.2f} mm")
+    if _buckled(result):
+        signs.append(f"the sheet has buckled by {result.wrinkles['buckle_mm']:.3g} mm")
     if scattered := [name for name, entry in result.spread.items() if not entry["robust"]]:
         signs.append(f"perturbed starts scatter in {', '.join(scattered)}")
     return "; ".join(signs)
@@ -178,7 +190,8 @@ def trust(result: Outcome) -> list[str]:
     areas = result.blank.areas / result.blank.areas.sum()
     for reason, flag in result.sheet.doubts().items():
         if reason in LIMITED and (share := areas @ flag) >= SHARE:
-            words = LIMITED[reason].format(range=result.model.sheet.fabric.shear_range)
+            shown, known = RESOLVED * result.blank.size, result.model.sheet.fabric.shear_range
+            words = LIMITED[reason].format(range=known, shown=shown)
             found.append(f"{100 * share:.0f} % of the area is {words}")
     if many := one_of_many(result):
         found.append(f"one of many states: {many}")

@@ -9,14 +9,14 @@ import numpy as np
 
 from ..energy.bending import Bending
 from ..energy.contact import LEVER, moment
-from ..energy.membrane import Membrane
 from ..model import COLLAPSE, Model
 from ..net.blank import Blank
 from .sheet import DOUBTS, FormedSheet
+from .stability import buckle, local_waves, shear_stability
 
 FloatArray = np.ndarray
 LEAST_FORCE = 0.05  # of a contact force: a radius with less on it does not count
-LIFTED = 0.1  # of the thickness: a flange that is lifted further has wrinkled
+LIFTED = 0.1  # of the thickness: a sheet that is lifted or buckles further has wrinkled
 SLIP_GRADIENT = 2.4
 """Shear gradient at which rovings may slip, degrees/mm: in the 45° off-axis tension test the paper
 saw slippage from u = 30 mm on, where the shear jumps by 12° between zones; over a width of 5 mm
@@ -34,19 +34,6 @@ def percentile(values: FloatArray, areas: FloatArray, share: float) -> float:
     order = np.argsort(values)
     below = np.cumsum(areas[order])
     return float(values[order][np.searchsorted(below, share * below[-1])])
-
-
-def shear_stability(membrane: Membrane, x: FloatArray) -> FloatArray:
-    """(n_triangles,) stiffness against a local turn of the fibres, MPa; negative: unstable.
-
-    With the tension S_aa along a family, S_aa + W6'' (I8 - I6²/I4) > 0, and the same for the other
-    family: the ellipticity of the law for a rotation of the fibres. Softening shear makes bands
-    where it fails.
-    """
-    I4, I6, I8 = membrane.invariants(x)
-    S = membrane.stress(x)
-    W2 = membrane.fabric.shear.stiffness(I6)
-    return np.minimum(S[:, 0, 0] + W2 * (I8 - I6**2 / I4), S[:, 1, 1] + W2 * (I4 - I6**2 / I8))
 
 
 def nodal(blank: Blank, values: FloatArray) -> FloatArray:
@@ -106,7 +93,7 @@ def formed(
     warp, weft = bare.fibres(np.array([blank.warp, blank.weft]))
     doubts = {
         "beyond_identified_range": np.abs(gamma) > sheet.fabric.shear_range,
-        "unstable_in_shear": stability < 0,
+        **local_waves(model, x)[0],
         "collapsed": np.abs(gamma) > np.degrees(COLLAPSE),
         "rovings_may_slip": shear_gradient(blank, np.abs(gamma)) > SLIP_GRADIENT,
     }
@@ -145,7 +132,8 @@ def flange_lift(model: Model, x: FloatArray) -> float:
 def wrinkles(model: Model, x: FloatArray) -> dict[str, float | None]:
     """Largest curvature (1/mm), and of each family how many lines wave and how far apart (mm).
 
-    Off punch and die, at x (n_dofs,). Empty without bending.
+    Off punch and die, at x (n_dofs,). Empty without bending. Without contact also how far the sheet
+    has buckled, mm.
     """
     blank, source, *_ = model.sheet.whole
     found: dict[str, float | None] = {}
@@ -163,6 +151,8 @@ def wrinkles(model: Model, x: FloatArray) -> dict[str, float | None]:
             lines, wavelength = waves(blank.nodes, getattr(blank, family), at_nodes[source, f])
             found[f"waving_{family}_lines"] = lines
             found[f"{family}_wavelength_mm"] = wavelength
+        if not model.contacts:
+            found["buckle_mm"] = buckle(model, x)
     return found
 
 

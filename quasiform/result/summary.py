@@ -11,6 +11,7 @@ from ..checks import FORMAT
 from .certificate import Certificate, one_of_many, trust
 from .measures import chord_penetration, max_penetration, percentile
 from .outcome import Outcome
+from .stability import local_waves
 
 
 def summarise(result: Outcome, certificate: Certificate) -> dict[str, Any]:
@@ -63,6 +64,7 @@ def summarise(result: Outcome, certificate: Certificate) -> dict[str, Any]:
         "doubtful_share": {
             reason: float(areas @ flag / areas.sum()) for reason, flag in sheet.doubts().items()
         },
+        "local_stability": local_waves(model, result.states[-1].x)[1],
     }
     if model.contacts:
         summary |= _between_tools(result)
