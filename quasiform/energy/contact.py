@@ -59,12 +59,12 @@ class Points:
 def share(tool: Tool, size: float) -> float:
     """Return a, by which places are averaged along each family of fibres on a tool.
 
-    The punch carries the sheet: what counts is the length of its fibres, a = 1/24; on a ball both
-    families lift the nodes, and each may do half of it. Over the fillets of die and holder the
-    sheet slides: what counts there is the work of the contact force, which the mean place decides.
+    A ball bends both families wherever it touches, and what counts is the length of the fibres on
+    it: each family lifts the nodes by half of what 1/24 would. On edges and fillets the sheet bends
+    over a short length, and what counts is the work of the contact force: the mean place, 1/12.
     """
-    if tool.motion == "driven":
-        return LENGTH / (2 if getattr(tool.shape, "is_ball", False) else 1)
+    if getattr(tool.shape, "is_ball", False):
+        return LENGTH / 2
     return LENGTH if size > COARSE * getattr(tool.shape, "sharpest", 0.0) > 0 else MEAN
 
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import time
 from contextlib import suppress
+from math import ceil, log2
 from pathlib import Path
 from typing import Literal
 
@@ -154,6 +155,23 @@ def refine(
     if journal:
         journal.close(result)
     return result
+
+
+def meshes(model: Model) -> list[Model]:
+    """Return the model on the mesh of its path, on those between, and on its own.
+
+    The path is worth a mesh of its own where that is coarser by √2 at least; each level is at most
+    twice as fine as the one before.
+    """
+    ratio = 1.0 if model.changed else max(model.coarsest / model.size * (1 + 1e-9), 1.0)
+    models = [model]
+    if ratio >= 2**0.5:
+        count = ceil(log2(ratio))
+        with suppress(InputError):  # too coarse for the blank
+            for level in range(1, count + 1):
+                size = model.size * ratio ** (level / count)
+                models.insert(0, model.recipe.build(size, like=model))
+    return models
 
 
 def _refined(
