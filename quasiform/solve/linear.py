@@ -20,6 +20,10 @@ class NotConvergedError(ArithmeticError):
     """A solve that did not reach its tolerance."""
 
 
+class SlidesOffError(NotConvergedError):
+    """A sheet that slides farther than what drives it."""
+
+
 class SingularMatrixError(NotConvergedError):
     """The matrix cannot be factorised: a motion without stiffness."""
 
