@@ -54,8 +54,8 @@ class Result(Outcome):
         Where and when a triangle first passed 85 degrees or turned over.
     estimate : dict
         Error of the mesh of each of the `quantities`, above all `shear_angle_deg` (of the 99th
-        percentile) and `force_N`, from coarser meshes (`estimate.discretisation_error`); None if
-        not estimated.
+        percentile) and `force_N` (`load_work_mJ` by a load factor), from coarser meshes
+        (`estimate.discretisation_error`); None if not estimated.
     shear_angle_error : (n_triangles,) array or None
         The same of the shear angle, degrees.
     spread : dict
@@ -75,7 +75,7 @@ class Result(Outcome):
         return (
             f"<Result {self.model.name}: {self.status} at {end.travel:.4g} of "
             f"{self.model.travel:.4g}, {len(self.model.sheet.blank.triangles)} triangles, "
-            f"{end.force:.4g} N>"
+            f"{end.force:.4g} {self.model.force_name.rpartition('_')[2]}>"
         )
 
     @property
@@ -94,12 +94,11 @@ class Result(Outcome):
         `pandas.DataFrame(result.table())` takes it.
         """
         found = self.quantities
-        units = {"deg": "°", "N": "N", "mm": "mm"}
         return {
             "quantity": list(found),
             "value": list(found.values()),
             "estimated_error": [self.estimate.get(name) for name in found],
-            "unit": [units[name.rpartition("_")[2]] for name in found],
+            "unit": [name.rpartition("_")[2].replace("deg", "°") for name in found],
         }
 
     def judge(self, coarser: list[Result]) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..checks import FORMAT
+from .assumed import assumed
 from .certificate import Certificate, one_of_many, trust
 from .measures import chord_penetration, max_penetration, percentile
 from .outcome import Outcome
@@ -36,13 +37,16 @@ def summarise(result: Outcome, certificate: Certificate) -> dict[str, Any]:
         "triangles": len(model.sheet.blank.triangles),
         "dofs": int((~model.fixed).sum()),
         "model": [f"{entry}: {why}" for entry, why in result.description],
-        "force_N": result.force,
+        model.force_name: result.force,
         "shear_angle_deg": {
             "max": float(gamma.max()),
             "p99": percentile(gamma, areas, 0.99),
             "mean": float(areas @ gamma / areas.sum()),
         },
-        "error_estimate": {name: result.estimate[name] for name in ("shear_angle_deg", "force_N")},
+        "assumed": assumed(model),
+        "error_estimate": {
+            n: result.estimate.get(n) for n in ("shear_angle_deg", model.force_name)
+        },
         "estimated_errors": result.estimate,
         "equilibrium": {
             "residual_relative": result.residual,

@@ -281,7 +281,7 @@ def proximal(run: Run, target: float) -> FloatArray:
 
 
 def stuck_first(run: Run, target: float) -> FloatArray:
-    """Take normal forces from a state in which nothing slips; smaller ones let a sheet slide off."""
+    """Take normal forces from a stuck state: smaller ones would let a sheet slide off."""
     equations = run.equations
     x = run.x + equations.motion_to(run.x, target)
     equations.travel = target
