@@ -20,7 +20,10 @@ FloatArray = np.ndarray
 
 @dataclass(frozen=True)
 class State:
-    """One converged increment: travel, x, driving force of the whole (N, mJ by a load factor), work so far, measures."""
+    """One converged increment: travel, x, driving force of the whole (N), work so far, measures.
+
+    Where a load factor is the travel, the force is the work of the load by it, mJ.
+    """
 
     travel: float
     x: FloatArray
