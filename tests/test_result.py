@@ -12,9 +12,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 import quasiform as qf
-from quasiform.console.terminal import number, report
+from quasiform.console.terminal import in_short, number, report
 from quasiform.draw import pictures, view
-from quasiform.result.assumed import assumed, in_short
+from quasiform.result.assumed import assumed
 from quasiform.result.certificate import Certificate, trust
 from quasiform.result.record import FORMAT, Record
 from quasiform.result.sheet import FormedSheet, read_sheets

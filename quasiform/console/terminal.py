@@ -12,8 +12,6 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 from rich.table import Table
 
-from ..result.assumed import in_short
-
 if TYPE_CHECKING:
     from ..identification import Identification
     from ..identification.campaign import Campaign
@@ -132,6 +130,26 @@ def _numbers(summary: Mapping[str, Any], what: str, name: str) -> dict[str, str]
     if summary["assumed"]:
         rows["assumed"] = in_short(summary["assumed"])
     return rows
+
+
+def in_short(names: Iterable[str]) -> str:
+    """The names in a line, the numbers of a part of the scene together.
+
+    Examples
+    --------
+    >>> in_short(["blank.length", "tools.punch.radius", "areas.pink", "fabric.compaction"])
+    'numbers of blank, punch, areas; compaction of the fabric'
+    """
+    parts: dict[str, None] = {}
+    keys = []
+    for name in names:
+        head, *rest = name.split(".")
+        if head == "fabric":
+            keys.append(rest[0])
+        else:
+            parts[rest[0] if head == "tools" else head] = None
+    words = [f"numbers of {', '.join(parts)}"] if parts else []
+    return "; ".join(words + ([f"{', '.join(keys)} of the fabric"] if keys else []))
 
 
 def _errors(result: Result, summary: Mapping[str, Any]) -> dict[str, str]:

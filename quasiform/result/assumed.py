@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import fields
 
 from ..fabric import PRESETS, Fabric
@@ -33,23 +32,3 @@ def assumed(model: Model) -> list[str]:
         if default if origin is None else str(origin).startswith("assumed"):
             found.append(f"fabric.{name}")
     return found
-
-
-def in_short(names: Iterable[str]) -> str:
-    """The names in a line, the numbers of a part of the scene together.
-
-    Examples
-    --------
-    >>> in_short(["blank.length", "tools.punch.radius", "areas.pink", "fabric.compaction"])
-    'numbers of blank, punch, areas; compaction of the fabric'
-    """
-    parts: dict[str, None] = {}
-    keys = []
-    for name in names:
-        head, *rest = name.split(".")
-        if head == "fabric":
-            keys.append(rest[0])
-        else:
-            parts[rest[0] if head == "tools" else head] = None
-    words = [f"numbers of {', '.join(parts)}"] if parts else []
-    return "; ".join(words + ([f"{', '.join(keys)} of the fabric"] if keys else []))
