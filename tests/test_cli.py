@@ -431,6 +431,15 @@ increments = false
 """
 
 
+def test_a_sheet_that_friction_cannot_hold_ends_with_status_3(capsys, here):
+    pull = "box = [100, -150, 150, 150]\ndirection = [1, 0]\ntension = 40.0"
+    Path("mine.toml").write_text(f"{MINE}[[grippers]]\n{pull}\n", encoding="utf-8")
+    assert main("form mine.toml --size 30 --travel 1 --out pulled".split()) == 3
+    reason = "at the start: slides off: friction cannot hold it"
+    assert f"stopped at 0 of 1 mm: {reason}\n" in capsys.readouterr().out
+    assert json.loads(Path("pulled/summary.json").read_text())["reason"] == reason
+
+
 def test_what_the_command_leaves_out_is_taken_from_the_file(monkeypatch):
     scenes = []
 

@@ -165,6 +165,7 @@ def spoken(quantity: str) -> str:
     """
     known = {
         "force_N": "the force",
+        "load_work_mJ": "the work of the load",
         "shear_angle_deg": "the largest shear angles (p99)",
         "shear_angle_mean_deg": "the mean shear angle",
     }

@@ -47,7 +47,7 @@ def judged(result: Outcome, coarser: Sequence[Outcome], finer: Outcome | None = 
         result,
         estimate=estimate,
         shear_angle_error=error,
-        force_errors=_force_errors(result, levels, estimate["force_N"]),
+        force_errors=_force_errors(result, levels, estimate[result.model.force_name]),
     )
 
 

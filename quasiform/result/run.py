@@ -59,8 +59,8 @@ class Result(Outcome):
         where the path was followed on this mesh.
     estimate : dict
         Error of the mesh of each of the `quantities`, above all `shear_angle_deg` (of the 99th
-        percentile) and `force_N`, from coarser meshes (`estimate.discretisation_error`); None if
-        not estimated.
+        percentile) and `force_N` (`load_work_mJ` by a load factor), from other meshes
+        (`estimate.discretisation_error`); None if not estimated.
     in_plane : dict of quantity to dict
         Its values with two numbers for the in-plane bending, on a coarse mesh; empty if unknown.
     shear_angle_error : (n_triangles,) array or None
@@ -86,7 +86,7 @@ class Result(Outcome):
         return (
             f"<Result {self.model.name}: {self.status} at {end.travel:.4g} of "
             f"{self.model.travel:.4g}, {len(self.model.sheet.blank.triangles)} triangles, "
-            f"{end.force:.4g} N>"
+            f"{end.force:.4g} {self.model.force_name.rpartition('_')[2]}>"
         )
 
     @property
@@ -105,12 +105,11 @@ class Result(Outcome):
         `pandas.DataFrame(result.table())` takes it.
         """
         found = self.quantities
-        units = {"deg": "°", "N": "N", "mm": "mm"}
         return {
             "quantity": list(found),
             "value": list(found.values()),
             "estimated_error": [self.estimate.get(name) for name in found],
-            "unit": [units[name.rpartition("_")[2]] for name in found],
+            "unit": [name.rpartition("_")[2].replace("deg", "°") for name in found],
         }
 
     def judge(self, coarser: list[Result], finer: Result | None = None) -> None:

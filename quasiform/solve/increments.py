@@ -36,7 +36,8 @@ class Progress:
     travel, goal : float
         Where the run is and where it ends, mm (or the load factor).
     residual, force : float
-        Sum of the nodal residuals relative to the driving force; that of the whole, N.
+        Sum of the nodal residuals relative to the driving force; that of the whole, N (by a load
+        factor the work of the load, mJ).
     contacts, linear_solves : int
         Points of the sheet that touch a tool; factorisations so far.
     elapsed : float

@@ -260,7 +260,7 @@ def _with_path_gap(
     ends = other.quantities, path.quantities
     scale = 1.0 / (coarse.model.size / path.model.size - 1.0)  # as for an error of first order
     gap = {n: scale * abs(ends[0][n] - ends[1][n]) for n in ends[0] if n in ends[1]}
-    if gap["force_N"] > GAP * abs(result.force) or gap["shear_angle_deg"] > GAP_DEG:
+    if gap[finest.force_name] > GAP * abs(result.force) or gap["shear_angle_deg"] > GAP_DEG:
         report(callback, f"friction's path matters: followed on a mesh of {finest.size:g} mm")
         followed = follow(finest, settings, callback)
         followed.add_work(result)

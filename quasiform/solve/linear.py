@@ -22,6 +22,10 @@ class NotConvergedError(ArithmeticError):
     work = 0  # factorisations that it took, where that is counted
 
 
+class SlidesOffError(NotConvergedError):
+    """A sheet that slides farther than what drives it."""
+
+
 class SingularMatrixError(NotConvergedError):
     """The matrix cannot be factorised: a motion without stiffness."""
 
