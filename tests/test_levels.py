@@ -1,23 +1,38 @@
 """Mesh continuation and the error estimate."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 import quasiform as qf
 from quasiform.result.estimate import discretisation_error
-from quasiform.solve import levels
-from quasiform.solve.levels import carried, transferred
+from quasiform.scenes import scene_file
+from quasiform.solve import carry, dependence, levels
+from quasiform.solve.carry import carried, transferred
+
+
+@cache
+def wide_fillets():
+    """The hemisphere with fillets of 25 mm, over which the path may be followed at 10 mm."""
+    text = scene_file.scene_toml(scene_file.load("hemisphere"))
+    text = text.replace("fillet = { value = 10.0", "fillet = { value = 25.0")
+    return scene_file.read_text({"toml": text, "source": ""})
+
+
+def wide(size=None, travel=None):
+    return qf.forming(wide_fillets(), size=size, travel=travel)
 
 
 @pytest.fixture(scope="module")
 def refined():
-    return qf.refine(qf.forming("hemisphere", size=5, travel=30))
+    return qf.refine(wide(size=5, travel=30))
 
 
 @pytest.fixture(scope="module")
 def full():
-    return qf.solve(qf.forming("hemisphere", size=5, travel=30))
+    return qf.solve(wide(size=5, travel=30))
 
 
 def test_the_end_is_that_of_the_full_path(refined, full):
@@ -57,13 +72,13 @@ def test_a_full_path_has_one_mesh_and_says_nothing_of_sizes(full):
 
 
 def test_accuracy_refines_until_the_estimate_is_below_it():
-    scene = qf.forming("hemisphere", size=10, travel=15)
+    scene = wide(size=10, travel=15)
     loose = qf.refine(scene, accuracy=20.0)
     # one level has no estimate, so there is a second one
     assert loose.model.size == 5
     error = loose.estimate["shear_angle_deg"]
     assert error < 20
-    sharp = qf.refine(qf.forming("hemisphere", size=10, travel=15), accuracy=0.9 * error)
+    sharp = qf.refine(wide(size=10, travel=15), accuracy=0.9 * error)
     assert sharp.model.size == 2.5
     assert sharp.path.model.size == 10
 
@@ -71,17 +86,17 @@ def test_accuracy_refines_until_the_estimate_is_below_it():
 @pytest.mark.parametrize("accuracy", [0.0, -1.0, np.nan])
 def test_accuracy_must_be_positive(accuracy):
     with pytest.raises(qf.InputError, match="accuracy must be a positive number"):
-        qf.refine(qf.forming("hemisphere"), accuracy=accuracy)
+        qf.refine(wide(), accuracy=accuracy)
 
 
 def test_a_scene_that_is_as_coarse_as_its_tools_allow_is_solved_as_it_is():
-    result = qf.refine(qf.forming("hemisphere", size=10, travel=10))
+    result = qf.refine(wide(size=10, travel=10))
     assert result.path is None
     assert result.estimate["shear_angle_deg"] > 0  # from a mesh twice as coarse
 
 
 def test_a_changed_scene_is_solved_as_it_is():
-    scene = qf.forming("hemisphere", size=5, travel=10)
+    scene = wide(size=5, travel=10)
     scene.travel = 2.0
     result = qf.refine(scene)
     assert result.model is scene
@@ -101,41 +116,41 @@ def test_what_was_completed_survives_an_interrupted_finer_mesh(monkeypatch):
     def interrupted(*arguments):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(levels, "transferred", interrupted)
-    result = qf.refine(qf.forming("hemisphere", size=5, travel=5))
+    monkeypatch.setattr(carry, "transferred", interrupted)
+    result = qf.refine(wide(size=5, travel=5))
     assert result.model.size == 10
     assert result.reason == "interrupted on a mesh of 5 mm"
     assert result.states[-1].travel == 5.0
 
 
 def test_a_scene_is_solved_alike_a_second_time():
-    scene = qf.forming("hemisphere", size=20, travel=10)
+    scene = wide(size=20, travel=10)
     first = qf.solve(scene, estimate=False)
     second = qf.solve(scene, estimate=False)
     assert second.linear_solves == first.linear_solves
     assert_allclose(second.states[-1].x, first.states[-1].x, rtol=1e-12, atol=1e-12)
     before = list(scene.description)
-    qf.refine(qf.forming("hemisphere", size=5, travel=5))
+    qf.refine(wide(size=5, travel=5))
     assert scene.description == before
 
 
 def test_a_path_that_stops_is_the_result(monkeypatch):
-    stopped = qf.solve(qf.forming("hemisphere", size=10, travel=5), estimate=False)
+    stopped = qf.solve(wide(size=10, travel=5), estimate=False)
     stopped.reason = "torn"
     monkeypatch.setattr(levels, "follow", lambda *arguments, **named: stopped)
-    result = qf.refine(qf.forming("hemisphere", size=5, travel=5))
+    result = qf.refine(wide(size=5, travel=5))
     assert result is stopped
     assert result.model.size == 10
 
 
 def test_where_the_end_is_not_found_the_path_is_followed(monkeypatch):
     def settle(run, x):
-        raise levels.NotConvergedError("lost")
+        raise carry.NotConvergedError("lost")
 
-    fresh = qf.solve(qf.forming("hemisphere", size=5, travel=10), estimate=False)
+    fresh = qf.solve(wide(size=5, travel=10), estimate=False)
     # after the state has been carried, memory of friction and all
-    monkeypatch.setattr(levels.Run, "settle", settle)
-    result = qf.refine(qf.forming("hemisphere", size=5, travel=10))
+    monkeypatch.setattr(carry.Run, "settle", settle)
+    result = qf.refine(wide(size=5, travel=10))
     assert result.rescues["path followed on the finer mesh"] == 1
     assert result.certified
     assert result.path is None
@@ -152,14 +167,14 @@ def test_a_plane_test_is_refined_too():
 
 
 def test_a_smooth_state_is_carried_exactly_where_cubics_are_exact():
-    coarse = qf.solve(qf.forming("hemisphere", size=20, travel=1), estimate=False)
+    coarse = qf.solve(wide(size=20, travel=1), estimate=False)
     end = coarse.states[-1]
     X = coarse.model.sheet.blank.nodes
     end.x[:] = coarse.model.x0
     bent = 1e-3 * X[:, 0] ** 2
     end.x[coarse.model.sheet.dofs[:, 2]] += bent
     last = np.zeros_like(end.x)
-    fine = qf.forming("hemisphere", size=10, travel=1)
+    fine = wide(size=10, travel=1)
     x, before = transferred(coarse, fine, last)
     Y = fine.sheet.blank.nodes
     inner = (Y > 20).all(1) & (Y < 130).all(1)
@@ -169,8 +184,8 @@ def test_a_smooth_state_is_carried_exactly_where_cubics_are_exact():
 
 
 def test_friction_starts_from_the_last_increment():
-    coarse = qf.solve(qf.forming("hemisphere", size=10, travel=15), estimate=False)
-    fine = qf.forming("hemisphere", size=5, travel=15)
+    coarse = qf.solve(wide(size=10, travel=15), estimate=False)
+    fine = wide(size=5, travel=15)
     last = levels._last_increment(coarse)
     x, before = transferred(coarse, fine, last)
     memory = carried(coarse, fine, last, x, before)
@@ -215,8 +230,8 @@ def test_fields_are_judged_point_by_point():
 
 def test_the_estimate_holds_for_the_hemisphere():
     """Against size 2.5, in at least nine of ten quantities."""
-    judged = qf.refine(qf.forming("hemisphere", size=5, travel=30))
-    finer = qf.refine(qf.forming("hemisphere", size=2.5, travel=30)).quantities
+    judged = qf.refine(wide(size=5, travel=30))
+    finer = qf.refine(wide(size=2.5, travel=30)).quantities
     inside = [abs(judged.quantities[n] - finer[n]) <= e for n, e in judged.estimate.items()]
     assert np.mean(inside) >= 0.9
     assert len(inside) == 10
