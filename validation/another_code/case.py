@@ -29,15 +29,16 @@ def values() -> dict[str, float]:
     """Forces of quasiform and their limit, differences from CalculiX, and friction's part."""
     theirs, found = forces(), {}
     for name, press in {"R 40": Press(), "R 50": LARGER}.items():
-        runs = {size: qf.refine(scene(size, press)) for size in SIZES}
+        sizes = [size for other, size in theirs if other == press]
+        runs = {size: qf.refine(scene(size, press)) for size in sizes}
         found |= {f"{name}: force at {size:g} mm": run.force for size, run in runs.items()}
-        *_, middle, fine = SIZES
+        middle, fine = sizes[-2:]
         mine = limit(runs[middle].force, runs[fine].force, ORDER["quasiform"])
         other = limit(theirs[press, middle], theirs[press, fine], ORDER["CalculiX"])
         found[f"{name}: limit of the force"] = mine
         found[f"{name}: limit of the force, relative difference"] = 100 * (mine / other - 1)
         if press == Press():
-            at = compare(runs[fine], FOLDER / "calculix.vtu", mirror=("x", "y"))
+            at = compare(runs[SIZES[-1]], FOLDER / "calculix.vtu", mirror=("x", "y"))
             found |= {row: at[quantity].difference for row, quantity in SHAPE.items()}
     rubbed = [replace(Press(), friction=mu) for mu in (0.0, 0.157, 0.5)]
     both = {
