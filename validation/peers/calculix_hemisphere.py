@@ -134,36 +134,16 @@ def deck(
     facets : int
         Faces of the sphere along its side.
     """
-    sphere, blocks = _sphere(facets, press.radius)
-    n = len(nodes)
-    E, G = E_T0 / THICKNESS, G_T0 / THICKNESS
-    half = np.full(n, THICKNESS / 2)
-    layers = np.vstack([np.column_stack([nodes, z]) for z in (-half, half)])
-    wedges = np.hstack([triangles, triangles + n]) + 1
-
-    def both(name: str, among: np.ndarray) -> list[str]:
-        chosen = np.flatnonzero(among) + 1
-        return [f"*NSET, NSET={name}", *(str(i) for i in np.append(chosen, chosen + n))]
-
+    E, G13 = E_T0 / THICKNESS, press.transverse * G_T0 / THICKNESS
     return "\n".join(
         [
-            "*NODE, NSET=SHEET",
-            *_numbered(layers, 1),
-            "*NODE, NSET=SPHERE",
-            *_numbered(sphere, 2 * n + 1),
-            "*ELEMENT, TYPE=C3D6, ELSET=SHEET",
-            *_numbered(wedges, 1),
-            "*ELEMENT, TYPE=C3D8, ELSET=SPHERE",
-            *_numbered(blocks + 2 * n + 1, len(triangles) + 1),
-            *both("RING", held(nodes)),
-            *both("MIDDLEX", nodes[:, 0] < 1e-6),
-            *both("MIDDLEY", nodes[:, 1] < 1e-6),
+            *_mesh(nodes, triangles, *_sphere(facets, press.radius)),
             "*ORIENTATION, NAME=FIBRES, SYSTEM=RECTANGULAR",
             "1., 0., 0., 0., 1., 0.",
             "*MATERIAL, NAME=FABRIC",
             "*ELASTIC, TYPE=ENGINEERING CONSTANTS",
-            f"{E}, {E}, {E}, 0., 0., 0., {G}, {press.transverse * G}",
-            f"{press.transverse * G}, 0.",
+            f"{E}, {E}, {E}, 0., 0., 0., {G_T0 / THICKNESS}, {G13}",
+            f"{G13}, 0.",
             "*MATERIAL, NAME=RIGID",
             "*ELASTIC",
             "1000., 0.",
@@ -197,6 +177,30 @@ def deck(
             "",
         ]
     )
+
+
+def _mesh(
+    nodes: FloatArray, triangles: np.ndarray, sphere: FloatArray, blocks: np.ndarray
+) -> list[str]:
+    """Nodes, elements and node sets: the underside of the sheet, its upper side, the sphere."""
+    n = len(nodes)
+    layers = np.vstack([np.insert(nodes, 2, z * THICKNESS / 2, axis=1) for z in (-1, 1)])
+    wedges = np.hstack([triangles, triangles + n]) + 1
+    sets = {"RING": held(nodes), "MIDDLEX": nodes[:, 0] < 1e-6, "MIDDLEY": nodes[:, 1] < 1e-6}
+    lines = [
+        "*NODE, NSET=SHEET",
+        *_numbered(layers, 1),
+        "*NODE, NSET=SPHERE",
+        *_numbered(sphere, 2 * n + 1),
+        "*ELEMENT, TYPE=C3D6, ELSET=SHEET",
+        *_numbered(wedges, 1),
+        "*ELEMENT, TYPE=C3D8, ELSET=SPHERE",
+        *_numbered(blocks + 2 * n + 1, len(triangles) + 1),
+    ]
+    for name, among in sets.items():
+        chosen = np.flatnonzero(np.tile(among, 2)) + 1
+        lines += [f"*NSET, NSET={name}", *(str(i) for i in chosen)]
+    return lines
 
 
 def _numbered(rows: np.ndarray, first: int) -> list[str]:
