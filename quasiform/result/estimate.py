@@ -85,12 +85,15 @@ def discretisation_error(
 ) -> FloatArray | float:
     """Error of the mesh from the same quantity on meshes of ascending sizes, the finest first.
 
-    `values` holds at least two numbers or (n,) arrays; the error is that of number `own`.
+    `values` holds at least two numbers or (n,) arrays; the error is that of number `own`, 0 or 1.
 
-    With one mesh that is finer, by the ratio ρ of the sizes, the difference d to it shows the
-    error: 5/4 d ρ/(ρ - 1), for an error of first order, with the safety factor of the grid
-    convergence index [1]_. Where both happen to agree, a quarter of what a coarser mesh would say
-    at second order, d/(ρ² - 1), is used.
+    With one mesh that is finer, of half the size, the difference d to it shows the error:
+    5/4 d (1 + r + r²), with the safety factor of the grid convergence index [1]_ and the factor r
+    by which differences fall when the size is halved. r follows from the difference d' to the next
+    coarser mesh: for the order p and its ratio of sizes ρ, d/d' = (1 - 2⁻ᵖ)/(ρᵖ - 1) and r = 2⁻ᵖ,
+    with p between zero (where a boundary layer is not resolved yet, differences do not fall for a
+    while) and two. Where two meshes happen to agree, a quarter of what d' says at second order,
+    d'/(ρ² - 1), is used.
 
     Without one, the difference d of the two finest is continued by the factor r = d/d' by which it
     fell from the one before, over three more halvings of the mesh: error = 5/4 d (r + r² + ...).
@@ -106,9 +109,13 @@ def discretisation_error(
     steps = np.abs(np.diff(np.stack([np.asarray(v) for v in values]), axis=0))
     ratios = np.divide(sizes[1:], sizes[:-1])
     if own:
-        floor = steps[own] / (ratios[own] ** 2 - 1) / 4 if own < len(steps) else 0.0
-        error = SAFETY * steps[own - 1] * ratios[own - 1] / (ratios[own - 1] - 1)
-        return np.maximum(error, floor)[()]
+        last, r = steps[0], 0.5
+        if len(steps) > own:
+            before, ratio = np.maximum(steps[own], 1e-300), ratios[own]
+            p = np.linspace(2.0, 1e-3, 50)
+            r = np.interp(last / before, (1 - 0.5**p) / (ratio**p - 1), 0.5**p)
+            last = np.maximum(last, before / (ratio**2 - 1) / 4)
+        return (SAFETY * last * (1 + r + r**2))[()]
     last, ratio = steps[0], ratios[0]
     if len(values) == 2:
         return (SAFETY * last / (ratio - 1.0))[()]

@@ -195,17 +195,9 @@ def _refined(
     path = follow(models[0], settings, callback, journal)
     levels = [path]
     coarser = [] if path.reason else coarser_run(path, settings, callback)
-    waiting = models[1:]
-    while not levels[-1].reason:
-        finer = None if waiting or len(levels) > 1 else finer_end(path, settings, callback)
-        levels[-1].judge([*coarser, *levels[:-1]], finer)
-        size = levels[-1].model.size / 2
-        if not waiting and size >= model.size / FINEST and _worth_refining(levels[-1], accuracy):
-            with suppress(InputError):  # the user's own mesh has one size only
-                waiting = [model.recipe.build(size, like=model)]
-        if not waiting:
+    for finer in models[1:]:
+        if levels[-1].reason:
             break
-        finer = waiting.pop(0)
         report(callback, f"the end on a mesh of {finer.size:g} mm")
         try:
             result = _end(levels[-1], finer, callback, settings)
@@ -216,13 +208,27 @@ def _refined(
             levels[-1].reason = f"on a mesh of {finer.size:g} mm: {result.reason}"
             break
         levels.append(result)
-    result = levels[-1]
-    if result.path and coarser and not result.reason:
-        result = _with_path_gap(coarser[0], result, settings, callback)
-    if result is not path:
-        result.in_plane, result.notes = path.in_plane, path.notes
-        result.judge([*coarser, *levels[:-1]])
-    return result
+    remembers = any(state is not None for state in levels[-1].memory)
+    if levels[-1].path and coarser and remembers and not levels[-1].reason:
+        levels[-1] = _with_path_gap(coarser[0], levels[-1], settings, callback)
+    while True:
+        result = levels[-1]
+        if result is not path:
+            result.in_plane, result.notes = path.in_plane, path.notes
+        finer = finer_end(result, settings, callback)
+        result.judge([*coarser, *levels[:-1]], finer)
+        error = result.estimate["shear_angle_deg"]
+        if accuracy is None or error is None or finer is None or error <= accuracy:
+            return result
+        if finer.model.size < model.size / FINEST * (1 - 1e-9):
+            return result
+        finer.factorisations, finer.path_gap = result.factorisations, result.path_gap
+        finer.rescues = _added(finer.rescues, result.rescues)
+        levels.append(finer)
+
+
+def _added(rescues: dict[str, int], more: dict[str, int]) -> dict[str, int]:
+    return {rung: rescues.get(rung, 0) + more.get(rung, 0) for rung in [*more, *rescues]}
 
 
 def _end(source: Result, model: Model, callback: Callback | None, settings: Settings) -> Result:
@@ -235,10 +241,7 @@ def _end(source: Result, model: Model, callback: Callback | None, settings: Sett
         result, failed = follow(model, settings, callback), error.work
         result.rescues["path followed on the finer mesh"] = 1
     result.add_work(source, failed)
-    result.rescues = {
-        rung: result.rescues.get(rung, 0) + source.rescues.get(rung, 0)
-        for rung in [*source.rescues, *result.rescues]
-    }
+    result.rescues = _added(result.rescues, source.rescues)
     return result
 
 
@@ -269,14 +272,6 @@ def _with_path_gap(
             return followed
     result.path_gap = gap
     return result
-
-
-def _worth_refining(result: Result, accuracy: float | None) -> bool:
-    """Whether an accuracy is asked for, not reached yet, and can be judged."""
-    if accuracy is None or result.collapse:
-        return False
-    error = result.estimate["shear_angle_deg"]
-    return result.path is None if error is None else error > accuracy
 
 
 def _check_accuracy(result: Result, accuracy: float | None) -> None:
