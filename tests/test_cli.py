@@ -26,7 +26,7 @@ from quasiform.console.cli import main
 from quasiform.console.progress import LiveProgress, progress
 from quasiform.draw import plot
 from quasiform.scenes import scene_file
-from quasiform.solve import increments
+from quasiform.solve import levels
 
 ROOT = Path(__file__).parents[1]
 OAT = ["oat", "--size", "40", "--displacement", "5"]
@@ -239,7 +239,13 @@ def test_a_model_too_large_for_the_memory_is_refused(capsys, monkeypatch):
 @pytest.mark.parametrize(
     ("argv", "words"),
     [
-        (OAT, ["oat-45: 77 nodes, 128 triangles, 134 dofs", "bending left out: held flat"]),
+        (
+            OAT,
+            [
+                "oat-45: 77 nodes, 128 triangles, 134 dofs",
+                "bending of warp and weft lines in the plane: in_plane_bending is 0.03",
+            ],
+        ),
         (FORM, ["hemisphere-0: 25 nodes, 32 triangles", "a quarter: ", "weight of the sheet left"]),
         (
             "form box --size 20".split(),
@@ -289,7 +295,7 @@ def assert_complete(folder, keys, columns):
     assert summary["reason"] == ""
     assert summary["reached_mm"] == 5.0
     assert set(summary["shear_angle_deg"]) == {"max", "p99", "mean"}
-    assert set(summary["error_estimate"]) == {"shear_angle_deg", "force_N"}
+    assert set(summary["error_estimate"]) == {"shear_angle_deg", "force_N", "path_deg", "path_N"}
     assert {"residual_relative", "energy_balance_relative"} <= set(summary["equilibrium"])
     assert summary["shear_angle_deg"]["max"] > 0
 
@@ -785,7 +791,7 @@ def test_the_solver_is_a_package_that_is_called():
     code = "import {}; import quasiform as qf; assert callable(qf.solve); qf.solve.newton"
     for first in ("quasiform.solve.newton", "quasiform.model", "quasiform.solve as solve"):
         assert "quasiform.solve.newton" in loaded(code.format(first))
-    function = increments.solve
+    function = levels.solve
     assert inspect.signature(qf.solve) == inspect.signature(function)
     assert "Follow the travel of a" in pydoc.render_doc(qf.solve)
     for thing in (qf.solve, function):

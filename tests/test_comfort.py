@@ -156,16 +156,23 @@ def test_expected_meshes_are_those_that_are_solved(monkeypatch):
     whole, coarse = (qf.forming("hemisphere", size=size, travel=10) for size in (18, 36))
     dofs, coarse_dofs = ((~one.fixed).sum() for one in (whole, coarse))
     path = 2 * forecast.WITH_TOOLS
-    scene = whole.including(lambda model: setattr(model, "coarsest", 18.0))
-    assert planned(scene, True) == [(18, dofs, path), (36, coarse_dofs, path)]
-    assert planned(scene, False) == planned(scene, True)  # it is the coarsest of the path already
-    assert planned(scene, True, seeds=2)[0][2] == 3 * path
-    scene = whole.including(lambda model: setattr(model, "coarsest", 40.0))
-    assert planned(scene, False) == [
-        (18, dofs, forecast.CARRIED),
-        (36, coarse_dofs, path),
+    finer = qf.forming("hemisphere", size=9, travel=10)
+    between = qf.forming("hemisphere", size=1.4 * 18, travel=10)
+    own = (18, dofs, path)
+    # the same twice on a coarser mesh, for the error and for in-plane bending, and a finer end
+    others = [
+        (pytest.approx(25.2), (~between.fixed).sum(), 2 * path),
+        (9, (~finer.fixed).sum(), forecast.CARRIED),
     ]
-    assert planned(scene, False, seeds=1)[1][2] == 2 * path
+    assert planned(whole, True) == [own, *others]
+    assert planned(whole, False) == planned(whole, True)  # it is too coarse for a path of its own
+    assert planned(whole, True, seeds=2)[0][2] == 3 * path
+    scene = whole.including(lambda model: setattr(model, "coarsest", 36.0))
+    found = planned(scene, False)
+    assert found[0] == (pytest.approx(36), coarse_dofs, path)
+    assert found[1] == (18, dofs, forecast.CARRIED)
+    assert found[2][2] == 2 * path
+    assert planned(scene, False, seeds=1)[0][2] == 2 * path
     strip = qf.off_axis_tension(size=20, displacement=20)
     assert planned(strip, True)[0][2] == 4 * forecast.IN_PLANE
 

@@ -12,6 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial import ConvexHull
 
 import quasiform as qf
+from quasiform.energy import contact
 from quasiform.energy.bending import Bending
 from quasiform.energy.contact import LEVER
 from quasiform.energy.gripper import Grip
@@ -99,8 +100,8 @@ def rigid(result, name="blank holder"):
 
 def assert_same(part, whole):
     """Check a part of a sheet, unfolded, against the whole of it."""
-    assert part.certified
-    assert whole.certified
+    assert part.certified.converged
+    assert whole.certified.converged
     assert abs(p99(part) - p99(whole)) < 1e-4
     assert part.force == pytest.approx(whole.force, rel=1e-6)
     assert part.draw_in == pytest.approx(whole.draw_in, rel=1e-5, abs=1e-8)
@@ -376,7 +377,7 @@ def test_meshes_that_do_not_follow_the_fibres_are_told(tmp_path):
         assert_allclose(scene.sheet.to_user(scene.sheet.blank.warp), [c, s], atol=1e-12)
 
 
-def test_a_punch_from_a_file_forms_as_the_one_in_closed_form(tmp_path):
+def test_a_punch_from_a_file_forms_as_the_one_in_closed_form(tmp_path, monkeypatch):
     """A ball of facets, on a coarse grid, beside the exact one."""
     steps = np.linspace(0.0, 2 * np.pi, 48, endpoint=False), np.linspace(0.0, np.pi, 25)[1:-1]
     around, down = (grid.ravel() for grid in np.meshgrid(*steps))
@@ -387,6 +388,8 @@ def test_a_punch_from_a_file_forms_as_the_one_in_closed_form(tmp_path):
     path = tmp_path / "ball.stl"
     meshio.write(path, meshio.Mesh(corners, [("triangle", outward(ConvexHull(corners)))]))
     file = SurfaceFile(path, scale=75.0, spacing=5.0)
+    # the program does not know that the surface is a ball
+    monkeypatch.setattr(contact, "share", lambda tool, size: contact.LENGTH)
     results = [
         solved(changed(tools={"punch": {"geometry": shape}}), travel=1.0, size=30.0)
         for shape in (file, scene_file.load("hemisphere").tools[0].shape)
@@ -477,7 +480,7 @@ def test_without_friction_nothing_holds_the_sheet_but_its_middle():
         assert "friction left out: its coefficient is zero" in words_of(result.model)
         assert "middle of the sheet fixed in the plane" in words_of(result.model)
         assert result.model.frictions == []
-        assert result.certified
+        assert result.certified.converged
     assert_same(half, whole)
     assert "middle of the sheet" not in words_of(qf.forming(law=SLIPPERY, size=30))
     assert 0 < whole.force < tilting().force
@@ -497,7 +500,7 @@ def test_gravity_acts_on_the_modelled_part():
     (weight,) = (term for term in result.model.terms if isinstance(term, SheetWeight))
     total = 1e-6 * GRAVITY * 600.0 * 310.0**2
     assert weight.force.sum() == pytest.approx(0.25 * total)
-    assert result.certified
+    assert result.certified.converged
     assert "weight of the sheet left out" not in words_of(result.model)
     without = formed(travel=3.0)
     assert f"weight of the sheet left out: {total:.2g} N beside the 49" in words_of(without.model)

@@ -214,7 +214,7 @@ def test_the_certificate_is_true_or_false(strip):
 def test_trust_says_what_limits_the_numbers(strip):
     assert trust(strip) == []
     rough = replace(strip, estimate={"force_N": 0.3 * strip.force, "shear_angle_deg": 0.1})
-    assert trust(rough) == ["the mesh error of the force is 30 % of its value"]
+    assert trust(rough) == ["the mesh error of the force is 3.8 at a value of 12.6"]
     fabric = replace(strip.model.sheet.fabric, shear_range=5.0)
     sheet = replace(strip.model.sheet, fabric=fabric)
     (words,) = trust(replace(strip, model=replace(strip.model, sheets=[sheet])))
@@ -229,7 +229,7 @@ def test_the_error_of_the_mesh_is_put_into_another_result(strip):
     bare = replace(strip, estimate={"shear_angle_deg": None, "force_N": None})
     coarse = qf.solve(qf.off_axis_tension(45, displacement=20, size=80), estimate=False)
     better = judged(bare, [coarse])
-    assert better.estimate["force_N"] == pytest.approx(2 * abs(strip.force - coarse.force))
+    assert better.estimate["force_N"] == pytest.approx(1.25 * abs(strip.force - coarse.force))
     assert bare.estimate["force_N"] is None
     assert judged(bare, [replace(coarse, reason="stopped")]) is bare
 
@@ -241,7 +241,7 @@ def test_files_carry_their_format(strip, folder):
     assert summary["certificate"] == {"converged": True, "reasons": []}
     assert summary["trust"] == []
     assert summary["factorisations"] == strip.factorisations
-    assert set(summary["factorisations"]) == {"40 mm", "80 mm"}
+    assert set(summary["factorisations"]) == {"40 mm", "56 mm", "20 mm"}
     run = Record.read(folder)
     assert run.summary == json.loads(json.dumps(strip.summary()))
     assert list(run.history) == list(strip.history)

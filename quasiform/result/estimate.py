@@ -51,18 +51,18 @@ def judged(result: Outcome, coarser: Sequence[Outcome], finer: Outcome | None = 
     )
 
 
-def _force_errors(result: Outcome, levels: Sequence[Outcome], end: float) -> FloatArray:
-    """(n_rows,) error of the force in each row of the history, N."""
+def _force_errors(result: Outcome, levels: Sequence[Outcome], end: float) -> FloatArray | None:
+    """(n_rows,) error of the force in each row of the history, N; None without a coarser path."""
     path = result.path or result
     along = [path, *(level for level in levels if level.model.size > path.model.size)]
+    if len(along) < 2:
+        return None
     travel = [run.states[i].travel for run, i in result.followed]
-    error = np.full(len(travel), np.nan)
-    if len(along) > 1:
-        forces = [
-            np.interp(travel, [s.travel for s in run.states], [s.force for s in run.states])
-            for run in along
-        ]
-        error = discretisation_error(forces, [run.model.size for run in along])
+    forces = [
+        np.interp(travel, [s.travel for s in run.states], [s.force for s in run.states])
+        for run in along
+    ]
+    error = discretisation_error(forces, [run.model.size for run in along])
     error[-1] = end
     return error
 

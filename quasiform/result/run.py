@@ -66,7 +66,7 @@ class Result(Outcome):
     shear_angle_error : (n_triangles,) array or None
         The same of the shear angle, degrees.
     force_errors : (n_rows,) array or None
-        The same of the force in each row of the history, N; nan where unknown.
+        The same of the force in each row of the history, N.
     spread : dict
         Scatter of the `quantities` over perturbed starts, where it was asked for (`solve.spread`).
     path : Result or None

@@ -101,7 +101,7 @@ def forming(
     given = {"orientation": float(orientation), "travel": goal, "symmetry": symmetry}
     given |= {"file": file, "name": name, "fabric": fabric}
     model = built(formed_between_tools, SIZE if size is None else size, **given)
-    if size is None and 0 < model.coarsest < SIZE:
+    if size is None and 0 < model.coarsest < SIZE and not isinstance(file.mesh, Path):
         size = max(model.coarsest, LEAST)
         model = replace(model.recipe, size=size).build(like=model)
     return model

@@ -17,7 +17,7 @@ from .increments import Callback, follow, report
 from .linear import NotConvergedError
 from .run import Settings
 
-COARSER, FINER = 2**0.5, 0.5  # sizes of the other meshes
+COARSER, FINER = 1.4, 0.5  # sizes of the other meshes
 OTHER = 10 / 3  # times the in-plane bending: the other value
 INTERRUPTED = "interrupted while the error of the mesh was estimated"
 CHANGED = (
