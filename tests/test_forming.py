@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial import ConvexHull
 
 import quasiform as qf
-from quasiform.energy import contact
+from quasiform.energy import contact as contacts
 from quasiform.energy.bending import Bending
 from quasiform.energy.contact import LEVER
 from quasiform.energy.gripper import Grip
@@ -389,7 +389,7 @@ def test_a_punch_from_a_file_forms_as_the_one_in_closed_form(tmp_path, monkeypat
     meshio.write(path, meshio.Mesh(corners, [("triangle", outward(ConvexHull(corners)))]))
     file = SurfaceFile(path, scale=75.0, spacing=5.0)
     # the program does not know that the surface is a ball
-    monkeypatch.setattr(contact, "share", lambda tool, size: contact.LENGTH)
+    monkeypatch.setattr(contacts, "share", lambda tool, size: contacts.LENGTH)
     results = [
         solved(changed(tools={"punch": {"geometry": shape}}), travel=1.0, size=30.0)
         for shape in (file, scene_file.load("hemisphere").tools[0].shape)

@@ -252,3 +252,72 @@ def test_rescues_of_all_levels_are_added(monkeypatch):
     monkeypatch.setattr(levels, "follow", counted)
     refined = qf.refine(wide(size=5, travel=5))
     assert refined.path.rescues["proximal"] == refined.rescues["proximal"] == 3
+
+
+# Mesh of the path, friction's path, in-plane bending
+
+
+def test_the_default_mesh_resolves_the_smallest_fillet():
+    for name in ("hemisphere", "tetrahedron", "box"):
+        model = qf.forming(name)
+        assert model.size == model.coarsest == 4.0  # 0.4 of 10 mm
+        assert not model.changed
+    assert qf.forming(wide_fillets()).size == 5.0  # nothing finer is needed
+    assert qf.forming("hemisphere", size=10.0).size == 10.0
+
+
+@pytest.mark.parametrize(("size", "sizes"), [(10, [10]), (4, [4]), (3, [3]), (2, [4, 2])])
+def test_each_level_is_at_most_twice_as_fine_as_the_one_before(size, sizes):
+    model = qf.forming("hemisphere", size=size)
+    assert [round(one.size, 9) for one in levels.meshes(model)] == sizes
+
+
+def test_coarse_meshes_are_named_in_the_certificate():
+    coarse = qf.solve(qf.forming("hemisphere", size=10, travel=20), estimate=False).certified
+    assert coarse.converged
+    assert not coarse
+    assert "too coarse for the radius of 10 mm" in str(coarse)
+    assert "a fibre cuts" in str(coarse)
+    assert coarse.figures["smallest_radius_mm"] == pytest.approx(10.0, rel=0.01)
+    fine = qf.solve(qf.forming("hemisphere", size=5, travel=10), estimate=False).certified
+    assert fine
+    assert fine.figures["fibre_chord_mm"] < fine.figures["fibre_chord_allowed_mm"]
+
+
+def test_the_end_has_an_energy_balance_of_its_own(refined):
+    assert refined.energy_balance != refined.path.energy_balance
+    assert refined.energy_balance < 0.01
+
+
+def test_what_the_end_depends_on_its_path_is_in_the_estimate(refined, full, monkeypatch):
+    errors = refined.summary()["error_estimate"]
+    assert errors["path_N"] == refined.path_gap["force_N"] > 0
+    assert errors["path_deg"] == refined.path_gap["shear_angle_deg"] > 0
+    assert refined.estimate["force_N"] > errors["path_N"]
+    assert full.summary()["error_estimate"]["path_N"] == 0.0
+    monkeypatch.setattr(levels, "GAP", 0.0)
+    followed = qf.refine(wide(size=5, travel=30))
+    assert followed.path is None
+    assert followed.rescues["path followed on the finer mesh"] == 1
+    assert followed.force == pytest.approx(full.force, rel=1e-9)
+
+
+def test_the_force_has_an_error_along_the_travel(refined, full):
+    for result in (refined, full):
+        error, force = result.history["force_error_N"], result.history["force_N"]
+        assert error[-1] == result.estimate["force_N"]
+        assert (error[1:] > 0).all()
+        assert (error < force[-1]).all()
+
+
+def test_trust_names_what_in_plane_bending_changes(full):
+    names = {"0.03", "0.1"}
+    assert all(set(values) == names for values in full.in_plane.values())
+    low, high = full.in_plane["force_N"].values()
+    assert low != high
+    full.in_plane["force_N"]["0.1"] = low + 2 * full.estimate["force_N"]
+    assert any(
+        s.startswith("the force depends on in_plane_bending") for s in full.summary()["trust"]
+    )
+    full.in_plane["force_N"]["0.1"] = low + 0.5 * full.estimate["force_N"]
+    assert not [s for s in full.summary()["trust"] if s.startswith("the force depends")]

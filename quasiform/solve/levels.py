@@ -163,10 +163,10 @@ def meshes(model: Model) -> list[Model]:
     The path is worth a mesh of its own where that is coarser by √2 at least; each level is at most
     twice as fine as the one before.
     """
-    ratio = 1.0 if model.changed else max(model.coarsest / model.size * (1 + 1e-9), 1.0)
+    ratio = 1.0 if model.changed else model.coarsest / model.size
     models = [model]
-    if ratio >= 2**0.5:
-        count = ceil(log2(ratio))
+    if ratio > 2**0.5 - 1e-6:
+        count = ceil(log2(ratio) - 1e-6)
         with suppress(InputError):  # too coarse for the blank
             for level in range(1, count + 1):
                 size = model.size * ratio ** (level / count)
