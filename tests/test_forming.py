@@ -496,13 +496,13 @@ def test_friction_of_a_tool_stands_over_that_of_the_fabric():
 
 
 def test_gravity_acts_on_the_modelled_part():
-    result = solved(changed(gravity=True), travel=3.0)
+    result = solved(changed(gravity=True), travel=3.0, size=15.0)
     (weight,) = (term for term in result.model.terms if isinstance(term, SheetWeight))
     total = 1e-6 * GRAVITY * 600.0 * 310.0**2
     assert weight.force.sum() == pytest.approx(0.25 * total)
     assert result.certified.converged
     assert "weight of the sheet left out" not in words_of(result.model)
-    without = formed(travel=3.0)
+    without = solved("hemisphere", travel=3.0, size=15.0)
     assert f"weight of the sheet left out: {total:.2g} N beside the 49" in words_of(without.model)
     # it helps the punch, by what lies over the opening at most
     assert 0 < without.force - result.force < np.pi * 90**2 / 310**2 * total

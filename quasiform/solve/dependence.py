@@ -18,6 +18,7 @@ from .linear import NotConvergedError
 from .run import Settings
 
 COARSER, FINER = 1.4, 0.5  # sizes of the other meshes
+HIGHER = 0.01  # more energy on a finer mesh, and its end is another state
 OTHER = 10 / 3  # times the in-plane bending: the other value
 INTERRUPTED = "interrupted while the error of the mesh was estimated"
 CHANGED = (
@@ -52,7 +53,11 @@ def coarser_run(result: Result, settings: Settings, callback: Callback | None) -
 
 
 def finer_end(result: Result, settings: Settings, callback: Callback | None) -> Result | None:
-    """End of a result on a finer mesh; None where none can be built, or its end is not found."""
+    """End of a result on a finer mesh; None where none can be built, or its end is not found.
+
+    Between bands that friction has put in place, a carried end may find another state. It is
+    recognised by its energy: that of the same state changes by less from mesh to mesh.
+    """
     if result.model.changed or result.reason:
         return None
     try:
@@ -69,6 +74,11 @@ def finer_end(result: Result, settings: Settings, callback: Callback | None) -> 
         result.reason = INTERRUPTED
         return None
     result.add_work(finer)
+    if finer.energy > (1 + HIGHER) * result.energy:
+        more = 100 * (finer.energy / result.energy - 1)
+        why = f"{more:.1f} % more energy at {model.size:g} mm; the error is that to a coarser mesh"
+        result.notes.append(("end on a finer mesh is another state", why))
+        return None
     return finer
 
 
