@@ -344,8 +344,9 @@ def test_oat_writes_every_file_into_a_new_folder(capsys, here):
     assert [name for name in FILES if name not in out] == []
     lines = err.splitlines()
     assert len(lines) == summary["increments"] + 2  # and two stages of the estimate
-    assert lines[-2].startswith("travel 5 of 5, ")
-    assert lines[-1] == "error of the mesh: the same at 80 mm"
+    assert lines[-3].startswith("travel 5 of 5, ")
+    assert lines[-2] == "error of the mesh: the same at 56 mm"
+    assert lines[-1] == "error of the mesh: the end at 20 mm"
 
     first = contents(here / "oat-45")
     assert main(OAT) == 0
