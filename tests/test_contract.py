@@ -402,7 +402,9 @@ def test_hand_built_model_has_no_recipe():
 
 
 def test_identical_runs_count_identical_work():
-    counts = [qf.refine(qf.forming("hemisphere", size=10.0)).factorisations for _ in range(2)]
+    counts = [
+        qf.refine(qf.forming("hemisphere", size=10.0, travel=20.0)).factorisations for _ in range(2)
+    ]
     assert counts[0] == counts[1]
     assert set(counts[0]) == {"10 mm", "14 mm", "5 mm"}
     assert all(isinstance(n, int) for n in counts[0].values())
