@@ -2,7 +2,7 @@
 
 import quasiform as qf
 
-result = qf.solve(qf.forming("hemisphere", size=10, travel=20))
+result = qf.solve(qf.forming("hemisphere", travel=10))
 
 # what happened
 print(result.status, f"at {result.states[-1].travel:g} mm")

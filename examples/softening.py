@@ -87,7 +87,8 @@ def stitched(model):
     nodes, edges = model.sheet.blank.nodes, model.sheet.blank.mesh.facets.T
     step = np.diff(nodes[edges], axis=1)[:, 0]
     along = np.abs(step[:, 0]) > 0.99 * np.linalg.norm(step, axis=1)  # the load acts along x
-    model.terms.append(SofteningYarns(model.sheet, edges[along], stiffness=2.0, e0=0.2))
+    stiffness = 0.14 * model.sheet.blank.size  # N: yarns of 0.14 N/mm of width, on every mesh
+    model.terms.append(SofteningYarns(model.sheet, edges[along], stiffness, e0=0.2))
 
 
 if __name__ == "__main__":

@@ -18,6 +18,17 @@ LONGEST = 400  # characters of a message
 FORMAT = 2  # of every file that is written; those of version 0.1.0 carry none
 
 
+def force_column(travel: str) -> str:
+    """Column of the derivative of the energy by a travel in mm, or by a load factor.
+
+    Examples
+    --------
+    >>> force_column("travel_mm"), force_column("load_factor")
+    ('force_N', 'load_work_mJ')
+    """
+    return "force_N" if travel.endswith("_mm") else "load_work_mJ"
+
+
 class InputError(ValueError):
     """Wrong input; the message is one line for the user (exit status 2 on the command line).
 

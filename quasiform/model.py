@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from .checks import force_column
 from .energy.contact import LEVER, Contact, surrounds
 from .energy.friction import Friction
 from .energy.membrane import Membrane
@@ -116,6 +117,11 @@ class Model:
     def size(self) -> float:
         """Size of the mesh as the user gives it, mm."""
         return float(self.parameters.get("size", self.sheets[0].blank.size))
+
+    @property
+    def force_name(self) -> str:
+        """Column of the derivative of the energy by the travel, with its unit."""
+        return force_column(self.travel_name)
 
     @property
     def membranes(self) -> list[Membrane]:

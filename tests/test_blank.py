@@ -9,7 +9,7 @@ from quasiform.checks import InputError
 from quasiform.energy.membrane import Membrane
 from quasiform.fabric import Fabric
 from quasiform.net import outline as outlines
-from quasiform.net.blank import Blank, cut, rectangle, rotation
+from quasiform.net.blank import Blank, _corners, cut, rectangle, rotation
 from quasiform.net.cells import _fan
 from quasiform.unknowns import Unknowns
 
@@ -573,3 +573,11 @@ def test_corners_that_just_miss_a_line_share_it(orientation):
     assert smallest_angle(blank) > 35.0
     assert_allclose(blank.areas.sum(), 1e4, rtol=1e-3)
     assert_array_equal(fibre_legs(blank), 2)
+
+
+def test_the_sharpest_corners_come_first():
+    ring = np.array([[0.0, 0.0], [60.0, 0.0], [60.0, 40.0], [10.0, 40.0]])
+    turns = {(0.0, 0.0): 104.0, (60.0, 0.0): 90.0, (60.0, 40.0): 90.0, (10.0, 40.0): 76.0}
+    found = [tuple(corner) for corner in _corners(ring, 5.0).tolist()]
+    assert set(found) == set(turns)
+    assert [turns[corner] for corner in found] == [104.0, 90.0, 90.0, 76.0]

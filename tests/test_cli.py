@@ -26,7 +26,7 @@ from quasiform.console.cli import main
 from quasiform.console.progress import LiveProgress, progress
 from quasiform.draw import plot
 from quasiform.scenes import scene_file
-from quasiform.solve import increments
+from quasiform.solve import levels
 
 ROOT = Path(__file__).parents[1]
 OAT = ["oat", "--size", "40", "--displacement", "5"]
@@ -46,7 +46,7 @@ FORM_KEYS = KEYS | set(
 )
 OAT_COLUMNS = (
     "displacement_mm force_N shear_angle_center_deg shear_angle_max_deg E11_center E22_center "
-    "linear_solves".split()
+    "linear_solves force_error_N".split()
 )
 FORM_COLUMNS = (
     "travel_mm force_N holder_force_N shear_angle_max_deg draw_in_mm linear_solves".split()
@@ -239,7 +239,13 @@ def test_a_model_too_large_for_the_memory_is_refused(capsys, monkeypatch):
 @pytest.mark.parametrize(
     ("argv", "words"),
     [
-        (OAT, ["oat-45: 77 nodes, 128 triangles, 134 dofs", "bending left out: held flat"]),
+        (
+            OAT,
+            [
+                "oat-45: 77 nodes, 128 triangles, 134 dofs",
+                "bending of warp and weft lines in the plane: in_plane_bending is 0.03",
+            ],
+        ),
         (FORM, ["hemisphere-0: 25 nodes, 32 triangles", "a quarter: ", "weight of the sheet left"]),
         (
             "form box --size 20".split(),
@@ -289,7 +295,7 @@ def assert_complete(folder, keys, columns):
     assert summary["reason"] == ""
     assert summary["reached_mm"] == 5.0
     assert set(summary["shear_angle_deg"]) == {"max", "p99", "mean"}
-    assert set(summary["error_estimate"]) == {"shear_angle_deg", "force_N"}
+    assert set(summary["error_estimate"]) == {"shear_angle_deg", "force_N", "path_deg", "path_N"}
     assert {"residual_relative", "energy_balance_relative"} <= set(summary["equilibrium"])
     assert summary["shear_angle_deg"]["max"] > 0
 
@@ -337,9 +343,10 @@ def test_oat_writes_every_file_into_a_new_folder(capsys, here):
     assert " converged yes" in rows
     assert [name for name in FILES if name not in out] == []
     lines = err.splitlines()
-    assert len(lines) == summary["increments"] + 1
-    assert lines[-2].startswith("travel 5 of 5, ")
-    assert lines[-1] == "error of the mesh: the same at 80 mm"
+    assert len(lines) == summary["increments"] + 2  # and two stages of the estimate
+    assert lines[-3].startswith("travel 5 of 5, ")
+    assert lines[-2] == "error of the mesh: the same at 56 mm"
+    assert lines[-1] == "error of the mesh: the end at 20 mm"
 
     first = contents(here / "oat-45")
     assert main(OAT) == 0
@@ -429,6 +436,15 @@ rows = 1.0
 pictures = false
 increments = false
 """
+
+
+def test_a_sheet_that_friction_cannot_hold_ends_with_status_3(capsys, here):
+    pull = "box = [100, -150, 150, 150]\ndirection = [1, 0]\ntension = 40.0"
+    Path("mine.toml").write_text(f"{MINE}[[grippers]]\n{pull}\n", encoding="utf-8")
+    assert main("form mine.toml --size 30 --travel 1 --out pulled".split()) == 3
+    reason = "at the start: slides off: friction cannot hold it"
+    assert f"stopped at 0 of 1 mm: {reason}\n" in capsys.readouterr().out
+    assert json.loads(Path("pulled/summary.json").read_text())["reason"] == reason
 
 
 def test_what_the_command_leaves_out_is_taken_from_the_file(monkeypatch):
@@ -776,7 +792,7 @@ def test_the_solver_is_a_package_that_is_called():
     code = "import {}; import quasiform as qf; assert callable(qf.solve); qf.solve.newton"
     for first in ("quasiform.solve.newton", "quasiform.model", "quasiform.solve as solve"):
         assert "quasiform.solve.newton" in loaded(code.format(first))
-    function = increments.solve
+    function = levels.solve
     assert inspect.signature(qf.solve) == inspect.signature(function)
     assert "Follow the travel of a" in pydoc.render_doc(qf.solve)
     for thing in (qf.solve, function):

@@ -153,19 +153,21 @@ def planned(scene, one_mesh, **named):
 
 def test_expected_meshes_are_those_that_are_solved(monkeypatch):
     monkeypatch.setattr(forecast, "_step", lambda *given: 1.0)
-    whole, coarse = (qf.forming("hemisphere", size=size, travel=10) for size in (18, 36))
-    dofs, coarse_dofs = ((~one.fixed).sum() for one in (whole, coarse))
+    sizes = 12, 24, 16.8, 6
+    models = [qf.forming("hemisphere", size=size, travel=10) for size in sizes]
+    whole, dofs = models[0], [(~one.fixed).sum() for one in models]
     path = 2 * forecast.WITH_TOOLS
-    scene = whole.including(lambda model: setattr(model, "coarsest", 18.0))
-    assert planned(scene, True) == [(18, dofs, path), (36, coarse_dofs, path)]
-    assert planned(scene, False) == planned(scene, True)  # it is the coarsest of the path already
-    assert planned(scene, True, seeds=2)[0][2] == 3 * path
-    scene = whole.including(lambda model: setattr(model, "coarsest", 40.0))
-    assert planned(scene, False) == [
-        (18, dofs, forecast.CARRIED),
-        (36, coarse_dofs, path),
-    ]
-    assert planned(scene, False, seeds=1)[1][2] == 2 * path
+    # the same twice on a coarser mesh, for the error and for in-plane bending, and a finer end
+    others = [(pytest.approx(16.8), dofs[2], 2 * path), (6, dofs[3], forecast.CARRIED)]
+    assert planned(whole, True) == [(12, dofs[0], path), *others]
+    assert planned(whole, False) == planned(whole, True)  # it is too coarse for a path of its own
+    assert planned(whole, True, seeds=2)[0][2] == 3 * path
+    scene = whole.including(lambda model: setattr(model, "coarsest", 24.0))
+    found = planned(scene, False)
+    assert found[0] == (pytest.approx(24), dofs[1], path)
+    assert found[1] == (12, dofs[0], forecast.CARRIED)
+    assert found[2][2] == 2 * path
+    assert planned(scene, False, seeds=1)[0][2] == 2 * path
     strip = qf.off_axis_tension(size=20, displacement=20)
     assert planned(strip, True)[0][2] == 4 * forecast.IN_PLANE
 

@@ -22,6 +22,7 @@ from quasiform.energy.contact import (
     at_edges,
     at_nodes,
     moment,
+    share,
     surrounds,
 )
 from quasiform.energy.friction import STICK, Friction
@@ -1341,3 +1342,25 @@ def test_a_dead_pull_has_no_stiffness():
     for y in (0.0, 50.0):
         assert_allclose(term.gradient(np.array([3.0, y, -2.0])), [[0.0, -7.0, 0.0]])
     assert not term.hessian(np.zeros(3), None, False).any()
+
+
+def ball_and_fillet():
+    """A square on a ball of 75 mm and on a cylinder of 10 mm, nodes at the length of the fibres."""
+    blank = rectangle(20.0, 20.0, 2.0)
+    x, y = blank.nodes.T
+    yield blank, ball(75.0), 75.0, np.column_stack([x, y, -(x**2 + y**2) / 150.0]), 2
+    yield blank, bar(10.0), 10.0, np.column_stack([x, y, -(x**2) / 20.0]), 1
+
+
+def test_the_mean_place_of_the_net_and_the_length_of_its_fibres():
+    """A ball lifts nodes by h²/24R in all, a fillet by h²/12r: `share` of each family of fibres."""
+    h = 2.0
+    for blank, shape, radius, places, bent in ball_and_fillet():
+        points = at_nodes(blank, share(Tool("tool", shape, motion="driven"), h))
+        mean = (points.weights * places[points.nodes]).sum(1)
+        middle = np.linalg.norm(blank.nodes, axis=1).argmin()
+        lowered = (places - mean)[middle, 2]
+        expected = h**2 / 24 if bent == 2 else h**2 / 12
+        assert lowered == pytest.approx(expected / radius, rel=1e-9)
+    coarse = Tool("die", bar(3.0))
+    assert share(coarse, h) == pytest.approx(1 / 24)  # nodes would jump over it

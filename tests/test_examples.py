@@ -29,7 +29,7 @@ def test_every_example_has_a_docstring_and_a_test():
 def test_hemisphere(capsys):
     result = example("hemisphere")["result"]
     assert result.status == "completed"
-    assert result.model.size == 10
+    assert result.model.size == 4  # the fillet needs it
     assert result.certified
     assert "certified: True" in capsys.readouterr().out
 
@@ -127,7 +127,7 @@ def test_scene_by_hand():
     forces = potential.gradient(result.states[-1].x, result.memory)
     lift = forces[found["height"].dofs].item()
     assert lift == pytest.approx(3 * weight * found["blank"].areas.sum(), rel=1e-3)
-    assert result.estimate["force_N"] is None  # there is no way to build it coarser
+    assert result.estimate["load_work_mJ"] is None  # there is no way to build it coarser
     assert found["corner"] < -50
 
 

@@ -12,6 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial import ConvexHull
 
 import quasiform as qf
+from quasiform.energy import contact as contacts
 from quasiform.energy.bending import Bending
 from quasiform.energy.contact import LEVER
 from quasiform.energy.gripper import Grip
@@ -19,6 +20,7 @@ from quasiform.energy.weight import GRAVITY, SheetWeight, ToolWeight
 from quasiform.net import outline
 from quasiform.net.blank import rotation
 from quasiform.net.edges import edge_points
+from quasiform.result import measures
 from quasiform.result.measures import percentile
 from quasiform.scenes import scene_file
 from quasiform.scenes.scene_file import (
@@ -98,8 +100,8 @@ def rigid(result, name="blank holder"):
 
 def assert_same(part, whole):
     """Check a part of a sheet, unfolded, against the whole of it."""
-    assert part.certified
-    assert whole.certified
+    assert part.certified.converged
+    assert whole.certified.converged
     assert abs(p99(part) - p99(whole)) < 1e-4
     assert part.force == pytest.approx(whole.force, rel=1e-6)
     assert part.draw_in == pytest.approx(whole.draw_in, rel=1e-5, abs=1e-8)
@@ -375,7 +377,7 @@ def test_meshes_that_do_not_follow_the_fibres_are_told(tmp_path):
         assert_allclose(scene.sheet.to_user(scene.sheet.blank.warp), [c, s], atol=1e-12)
 
 
-def test_a_punch_from_a_file_forms_as_the_one_in_closed_form(tmp_path):
+def test_a_punch_from_a_file_forms_as_the_one_in_closed_form(tmp_path, monkeypatch):
     """A ball of facets, on a coarse grid, beside the exact one."""
     steps = np.linspace(0.0, 2 * np.pi, 48, endpoint=False), np.linspace(0.0, np.pi, 25)[1:-1]
     around, down = (grid.ravel() for grid in np.meshgrid(*steps))
@@ -386,6 +388,8 @@ def test_a_punch_from_a_file_forms_as_the_one_in_closed_form(tmp_path):
     path = tmp_path / "ball.stl"
     meshio.write(path, meshio.Mesh(corners, [("triangle", outward(ConvexHull(corners)))]))
     file = SurfaceFile(path, scale=75.0, spacing=5.0)
+    # the program does not know that the surface is a ball
+    monkeypatch.setattr(contacts, "share", lambda tool, size: contacts.LENGTH)
     results = [
         solved(changed(tools={"punch": {"geometry": shape}}), travel=1.0, size=30.0)
         for shape in (file, scene_file.load("hemisphere").tools[0].shape)
@@ -476,7 +480,7 @@ def test_without_friction_nothing_holds_the_sheet_but_its_middle():
         assert "friction left out: its coefficient is zero" in words_of(result.model)
         assert "middle of the sheet fixed in the plane" in words_of(result.model)
         assert result.model.frictions == []
-        assert result.certified
+        assert result.certified.converged
     assert_same(half, whole)
     assert "middle of the sheet" not in words_of(qf.forming(law=SLIPPERY, size=30))
     assert 0 < whole.force < tilting().force
@@ -492,13 +496,13 @@ def test_friction_of_a_tool_stands_over_that_of_the_fabric():
 
 
 def test_gravity_acts_on_the_modelled_part():
-    result = solved(changed(gravity=True), travel=3.0)
+    result = solved(changed(gravity=True), travel=3.0, size=15.0)
     (weight,) = (term for term in result.model.terms if isinstance(term, SheetWeight))
     total = 1e-6 * GRAVITY * 600.0 * 310.0**2
     assert weight.force.sum() == pytest.approx(0.25 * total)
-    assert result.certified
+    assert result.certified.converged
     assert "weight of the sheet left out" not in words_of(result.model)
-    without = formed(travel=3.0)
+    without = solved("hemisphere", travel=3.0, size=15.0)
     assert f"weight of the sheet left out: {total:.2g} N beside the 49" in words_of(without.model)
     # it helps the punch, by what lies over the opening at most
     assert 0 < without.force - result.force < np.pi * 90**2 / 310**2 * total
@@ -633,7 +637,8 @@ def test_supports_fix_the_directions_that_they_name():
 
 def test_doubts_are_told_by_reason():
     result = formed()
-    reasons = ["beyond_identified_range", "unstable_in_shear", "collapsed", "rovings_may_slip"]
+    reasons = ["beyond_identified_range", "bands_may_form", "collapsed", "rovings_may_slip"]
+    reasons.append("fibres_may_buckle")
     doubts = result.sheet.doubts()
     assert list(doubts) == reasons
     assert all(
@@ -651,17 +656,25 @@ def test_doubts_are_told_by_reason():
     assert beyond.any()
 
 
-def test_doubts_add_up_in_one_field():
-    """1, 2, 4 and 8 in their order; a node is moved past its neighbours to have them all."""
+def test_doubts_add_up_in_one_field(monkeypatch):
+    """1, 2, 4, 8 and 16 in their order; a node is moved past its neighbours to have most of them.
+
+    Waves need more room than that: these two are put there by hand.
+    """
     result = formed()
+    marked = np.arange(len(result.shear_angle)) % np.array([[2], [3]]) == 0
+    local = dict(zip(("bands_may_form", "fibres_may_buckle"), marked, strict=True))
+    monkeypatch.setattr(measures, "local_waves", lambda *_: (local, {}))
     x = result.states[0].x.copy()
     moved = np.linalg.norm(result.model.sheet.blank.nodes - 60.0, axis=1).argmin()
     x[3 * moved : 3 * moved + 2] += 18.0
     folded = replace(result, states=[*result.states[:-1], replace(result.states[-1], x=x)])
     doubts = folded.sheet.doubts()
     assert all(flag.any() and not flag.all() for flag in doubts.values())
+    for name, marks in local.items():
+        assert_array_equal(doubts[name], marks)
     field = folded.sheet.cell_fields["doubt"]
-    for value, flag in zip((1, 2, 4, 8), doubts.values(), strict=True):
+    for value, flag in zip((1, 2, 4, 8, 16), doubts.values(), strict=True):
         assert_array_equal(field.astype(int) & value > 0, flag)
 
 

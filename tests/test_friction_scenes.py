@@ -11,7 +11,7 @@ from quasiform.energy.membrane import Membrane
 from quasiform.energy.weight import ToolWeight
 from quasiform.tools.shapes import Plane, flipped
 from quasiform.unknowns import Unknowns
-from validation.friction_exact.case import LOAD, capstan, strip
+from validation.friction_exact.case import LOAD, capstan, creep, incline, strip
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.157, 0.3])
@@ -36,6 +36,21 @@ def test_strip_between_plates_sticks_below_the_limit():
     assert 0.0 < result.force < 0.6 * limit
     forces = result.history["force_N"]
     assert np.allclose(np.diff(forces), forces[1], rtol=1e-3)
+
+
+@pytest.mark.parametrize(("friction", "size"), [(0.157, 10.0), (0.157, 5.0), (0.5, 10.0)])
+def test_a_sheet_below_the_friction_angle_does_not_creep(friction, size):
+    result = qf.solve(incline(0.999, friction, size), estimate=False)
+    assert result.status == "completed"
+    assert creep(result) < 1e-3
+
+
+@pytest.mark.parametrize("share", [1.001, 1.2, 3.0])
+def test_a_sheet_beyond_the_friction_angle_slides_off(share):
+    result = qf.solve(incline(share), estimate=False)
+    assert result.reason.endswith("slides off: friction cannot hold it")
+    assert result.states[-1].travel < 0.05
+    assert creep(result) < 1e-3  # nothing was accepted that slides
 
 
 @pytest.mark.parametrize("place", [(0.0, 0.0), (8.0, 0.0), (0.0, -3.0), (-5.0, 2.0)])

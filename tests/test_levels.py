@@ -1,23 +1,38 @@
 """Mesh continuation and the error estimate."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 import quasiform as qf
 from quasiform.result.estimate import discretisation_error
-from quasiform.solve import levels
-from quasiform.solve.levels import carried, transferred
+from quasiform.scenes import scene_file
+from quasiform.solve import carry, levels
+from quasiform.solve.carry import carried, transferred
+
+
+@cache
+def wide_fillets():
+    """The hemisphere with fillets of 25 mm, over which the path may be followed at 10 mm."""
+    text = scene_file.scene_toml(scene_file.load("hemisphere"))
+    text = text.replace("fillet = { value = 10.0", "fillet = { value = 25.0")
+    return scene_file.read_text({"toml": text, "source": ""})
+
+
+def wide(size=None, travel=None):
+    return qf.forming(wide_fillets(), size=size, travel=travel)
 
 
 @pytest.fixture(scope="module")
 def refined():
-    return qf.refine(qf.forming("hemisphere", size=5, travel=30))
+    return qf.refine(wide(size=5, travel=30))
 
 
 @pytest.fixture(scope="module")
 def full():
-    return qf.solve(qf.forming("hemisphere", size=5, travel=30))
+    return qf.solve(wide(size=5, travel=30))
 
 
 def test_the_end_is_that_of_the_full_path(refined, full):
@@ -57,31 +72,31 @@ def test_a_full_path_has_one_mesh_and_says_nothing_of_sizes(full):
 
 
 def test_accuracy_refines_until_the_estimate_is_below_it():
-    scene = qf.forming("hemisphere", size=10, travel=15)
-    loose = qf.refine(scene, accuracy=20.0)
-    # one level has no estimate, so there is a second one
-    assert loose.model.size == 5
+    loose = qf.refine(wide(size=10, travel=5), accuracy=20.0)
+    assert loose.model.size == 10
     error = loose.estimate["shear_angle_deg"]
     assert error < 20
-    sharp = qf.refine(qf.forming("hemisphere", size=10, travel=15), accuracy=0.9 * error)
-    assert sharp.model.size == 2.5
+    sharp = qf.refine(wide(size=10, travel=5), accuracy=0.9 * error)
+    assert sharp.model.size < 10
+    assert sharp.estimate["shear_angle_deg"] < 0.9 * error
     assert sharp.path.model.size == 10
+    assert sharp.factorisations["10 mm"] == loose.factorisations["10 mm"]
 
 
 @pytest.mark.parametrize("accuracy", [0.0, -1.0, np.nan])
 def test_accuracy_must_be_positive(accuracy):
     with pytest.raises(qf.InputError, match="accuracy must be a positive number"):
-        qf.refine(qf.forming("hemisphere"), accuracy=accuracy)
+        qf.refine(wide(), accuracy=accuracy)
 
 
 def test_a_scene_that_is_as_coarse_as_its_tools_allow_is_solved_as_it_is():
-    result = qf.refine(qf.forming("hemisphere", size=10, travel=10))
+    result = qf.refine(wide(size=10, travel=10))
     assert result.path is None
     assert result.estimate["shear_angle_deg"] > 0  # from a mesh twice as coarse
 
 
 def test_a_changed_scene_is_solved_as_it_is():
-    scene = qf.forming("hemisphere", size=5, travel=10)
+    scene = wide(size=5, travel=10)
     scene.travel = 2.0
     result = qf.refine(scene)
     assert result.model is scene
@@ -101,41 +116,41 @@ def test_what_was_completed_survives_an_interrupted_finer_mesh(monkeypatch):
     def interrupted(*arguments):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(levels, "transferred", interrupted)
-    result = qf.refine(qf.forming("hemisphere", size=5, travel=5))
+    monkeypatch.setattr(carry, "transferred", interrupted)
+    result = qf.refine(wide(size=5, travel=5))
     assert result.model.size == 10
     assert result.reason == "interrupted on a mesh of 5 mm"
     assert result.states[-1].travel == 5.0
 
 
 def test_a_scene_is_solved_alike_a_second_time():
-    scene = qf.forming("hemisphere", size=20, travel=10)
+    scene = wide(size=20, travel=10)
     first = qf.solve(scene, estimate=False)
     second = qf.solve(scene, estimate=False)
     assert second.linear_solves == first.linear_solves
     assert_allclose(second.states[-1].x, first.states[-1].x, rtol=1e-12, atol=1e-12)
     before = list(scene.description)
-    qf.refine(qf.forming("hemisphere", size=5, travel=5))
+    qf.refine(wide(size=5, travel=5))
     assert scene.description == before
 
 
 def test_a_path_that_stops_is_the_result(monkeypatch):
-    stopped = qf.solve(qf.forming("hemisphere", size=10, travel=5), estimate=False)
+    stopped = qf.solve(wide(size=10, travel=5), estimate=False)
     stopped.reason = "torn"
     monkeypatch.setattr(levels, "follow", lambda *arguments, **named: stopped)
-    result = qf.refine(qf.forming("hemisphere", size=5, travel=5))
+    result = qf.refine(wide(size=5, travel=5))
     assert result is stopped
     assert result.model.size == 10
 
 
 def test_where_the_end_is_not_found_the_path_is_followed(monkeypatch):
     def settle(run, x):
-        raise levels.NotConvergedError("lost")
+        raise carry.NotConvergedError("lost")
 
-    fresh = qf.solve(qf.forming("hemisphere", size=5, travel=10), estimate=False)
+    fresh = qf.solve(wide(size=5, travel=10), estimate=False)
     # after the state has been carried, memory of friction and all
-    monkeypatch.setattr(levels.Run, "settle", settle)
-    result = qf.refine(qf.forming("hemisphere", size=5, travel=10))
+    monkeypatch.setattr(carry.Run, "settle", settle)
+    result = qf.refine(wide(size=5, travel=10))
     assert result.rescues["path followed on the finer mesh"] == 1
     assert result.certified
     assert result.path is None
@@ -152,14 +167,14 @@ def test_a_plane_test_is_refined_too():
 
 
 def test_a_smooth_state_is_carried_exactly_where_cubics_are_exact():
-    coarse = qf.solve(qf.forming("hemisphere", size=20, travel=1), estimate=False)
+    coarse = qf.solve(wide(size=20, travel=1), estimate=False)
     end = coarse.states[-1]
     X = coarse.model.sheet.blank.nodes
     end.x[:] = coarse.model.x0
     bent = 1e-3 * X[:, 0] ** 2
     end.x[coarse.model.sheet.dofs[:, 2]] += bent
     last = np.zeros_like(end.x)
-    fine = qf.forming("hemisphere", size=10, travel=1)
+    fine = wide(size=10, travel=1)
     x, before = transferred(coarse, fine, last)
     Y = fine.sheet.blank.nodes
     inner = (Y > 20).all(1) & (Y < 130).all(1)
@@ -169,9 +184,9 @@ def test_a_smooth_state_is_carried_exactly_where_cubics_are_exact():
 
 
 def test_friction_starts_from_the_last_increment():
-    coarse = qf.solve(qf.forming("hemisphere", size=10, travel=15), estimate=False)
-    fine = qf.forming("hemisphere", size=5, travel=15)
-    last = levels._last_increment(coarse)
+    coarse = qf.solve(wide(size=10, travel=15), estimate=False)
+    fine = wide(size=5, travel=15)
+    last = coarse.states[-1].x - coarse.states[-2].x  # 5 mm of travel
     x, before = transferred(coarse, fine, last)
     memory = carried(coarse, fine, last, x, before)
     assert np.abs(x - before).max() > 4.0  # the punch has moved by 5 mm
@@ -187,38 +202,121 @@ def test_friction_starts_from_the_last_increment():
 
 @pytest.mark.parametrize("order", [1.0, 1.5, 2.0])
 def test_the_error_of_a_converging_value_is_bounded(order):
-    exact, values = 3.0, [3.0 + 0.7 * h**order for h in (1.0, 2.0, 4.0)]
-    error = values[0] - exact
-    assert error < discretisation_error(values) < 1.3 * error
-    assert discretisation_error(values[:2]) >= 2 * error
+    for sizes in ((1.0, 2.0, 4.0), (1.0, 2**0.5, 2.0), (1.0, 2.0, 2.8, 4.0)):
+        exact, values = 3.0, [3.0 + 0.7 * h**order for h in sizes]
+        error = values[0] - exact
+        assert error < discretisation_error(values, sizes) < 1.3 * error
+        assert discretisation_error(values[:2], sizes[:2]) >= 1.2 * error
+    sizes = 0.5, 1.0, 2**0.5
+    finer = [exact + 0.7 * h**order for h in sizes]
+    assert error < discretisation_error(finer, sizes, own=1) < 1.4 * error
+    assert error < discretisation_error(finer[:2], sizes[:2], own=1) < 2.2 * error
 
 
 def test_two_levels_that_happen_to_agree_are_not_believed():
-    assert discretisation_error([1.0, 1.0, 1.4]) == pytest.approx(1.25 * 0.1 * 0.328125)
-    assert discretisation_error([1.0, 1.0, 1.0]) == 0.0
+    sizes = 1.0, 2.0, 4.0
+    assert discretisation_error([1.0, 1.0, 1.4], sizes) == pytest.approx(1.25 * 0.1 * 0.328125)
+    assert discretisation_error([1.0, 1.0, 1.0], sizes) == 0.0
 
 
-def test_differences_that_grow_are_taken_to_grow_on():
-    assert discretisation_error([1.0, 2.0, 2.5]) == pytest.approx(1.25 * 14)
-    assert discretisation_error([1.0, 2.0, 2.0]) == pytest.approx(1.25 * 3)  # no ratio: one
+def test_differences_that_grow_are_taken_to_stay():
+    sizes = 1.0, 2.0, 4.0
+    assert discretisation_error([1.0, 2.0, 2.5], sizes) == pytest.approx(1.25 * 3)
+    assert discretisation_error([1.0, 2.0, 2.0], sizes) == pytest.approx(1.25 * 3)  # no ratio: one
 
 
 def test_fields_are_judged_point_by_point():
     values = [np.array([1.0, 5.0]), np.array([1.5, 5.5]), np.array([2.5, 5.5])]
-    each = [discretisation_error([v[i] for v in values]) for i in (0, 1)]
-    assert_allclose(discretisation_error(values), each)
+    sizes = 1.0, 2.0, 4.0
+    each = [discretisation_error([v[i] for v in values], sizes) for i in (0, 1)]
+    assert_allclose(discretisation_error(values, sizes), each)
 
 
-def test_the_estimate_holds_for_the_hemisphere():
-    """Against size 2.5, in at least nine of ten quantities."""
-    judged = qf.refine(qf.forming("hemisphere", size=5, travel=30))
-    finer = qf.refine(qf.forming("hemisphere", size=2.5, travel=30)).quantities
-    inside = [abs(judged.quantities[n] - finer[n]) <= e for n, e in judged.estimate.items()]
+def test_the_estimate_holds_for_the_hemisphere(refined):
+    """Against the whole path at size 2.5, in at least nine of ten quantities."""
+    finer = qf.solve(wide(size=2.5, travel=30), estimate=False).quantities
+    inside = [abs(refined.quantities[n] - finer[n]) <= e for n, e in refined.estimate.items()]
     assert np.mean(inside) >= 0.9
     assert len(inside) == 10
 
 
-def test_rescues_of_all_levels_are_added(refined):
-    path = refined.path.rescues
-    assert path["convex tangent"] > 0
-    assert all(refined.rescues[rung] >= count for rung, count in path.items())
+def test_rescues_of_all_levels_are_added(monkeypatch):
+    real = levels.follow
+
+    def counted(*arguments, **named):
+        result = real(*arguments, **named)
+        result.rescues["proximal"] = 3
+        return result
+
+    monkeypatch.setattr(levels, "follow", counted)
+    refined = qf.refine(wide(size=5, travel=5))
+    assert refined.path.rescues["proximal"] == refined.rescues["proximal"] == 3
+
+
+# Mesh of the path, friction's path, in-plane bending
+
+
+def test_the_default_mesh_resolves_the_smallest_fillet():
+    for name in ("hemisphere", "tetrahedron", "box"):
+        model = qf.forming(name)
+        assert model.size == model.coarsest == 4.0  # 0.4 of 10 mm
+        assert not model.changed
+    assert qf.forming(wide_fillets()).size == 5.0  # nothing finer is needed
+    assert qf.forming("hemisphere", size=10.0).size == 10.0
+
+
+@pytest.mark.parametrize(("size", "sizes"), [(10, [10]), (4, [4]), (3, [3]), (2, [4, 2])])
+def test_each_level_is_at_most_twice_as_fine_as_the_one_before(size, sizes):
+    model = qf.forming("hemisphere", size=size)
+    assert [round(one.size, 9) for one in levels.meshes(model)] == sizes
+
+
+def test_coarse_meshes_are_named_in_the_certificate():
+    coarse = qf.solve(qf.forming("hemisphere", size=10, travel=20), estimate=False).certified
+    assert coarse.converged
+    assert not coarse
+    assert "too coarse for the radius of 10 mm" in str(coarse)
+    assert "a fibre cuts" in str(coarse)
+    assert coarse.figures["smallest_radius_mm"] == pytest.approx(10.0, rel=0.01)
+    fine = qf.solve(qf.forming("hemisphere", size=5, travel=10), estimate=False).certified
+    assert fine
+    assert fine.figures["fibre_chord_mm"] < fine.figures["fibre_chord_allowed_mm"]
+
+
+def test_the_end_has_an_energy_balance_of_its_own(refined):
+    assert refined.energy_balance != refined.path.energy_balance
+    assert refined.energy_balance < 0.01
+
+
+def test_what_the_end_depends_on_its_path_is_in_the_estimate(refined, full, monkeypatch):
+    errors = refined.summary()["error_estimate"]
+    assert errors["path_N"] == refined.path_gap["force_N"] > 0
+    assert errors["path_deg"] == refined.path_gap["shear_angle_deg"] > 0
+    assert refined.estimate["force_N"] > errors["path_N"]
+    assert full.summary()["error_estimate"]["path_N"] == 0.0
+    monkeypatch.setattr(levels, "GAP", 0.0)
+    followed = qf.refine(wide(size=5, travel=30))
+    assert followed.path is None
+    assert followed.rescues["path followed on the finer mesh"] == 1
+    assert followed.force == pytest.approx(full.force, rel=1e-9)
+
+
+def test_the_force_has_an_error_along_the_travel(refined, full):
+    for result in (refined, full):
+        error, force = result.history["force_error_N"], result.history["force_N"]
+        assert error[-1] == result.estimate["force_N"]
+        assert (error[1:] > 0).all()
+        assert (error < force[-1]).all()
+
+
+def test_trust_names_what_in_plane_bending_changes(full):
+    names = {"0.03", "0.1"}
+    assert all(set(values) == names for values in full.in_plane.values())
+    low, high = full.in_plane["force_N"].values()
+    assert low != high
+    full.in_plane["force_N"]["0.1"] = low + 2 * full.estimate["force_N"]
+    assert any(
+        s.startswith("the force depends on in_plane_bending") for s in full.summary()["trust"]
+    )
+    full.in_plane["force_N"]["0.1"] = low + 0.5 * full.estimate["force_N"]
+    assert not [s for s in full.summary()["trust"] if s.startswith("the force depends")]

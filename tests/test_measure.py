@@ -6,12 +6,17 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from quasiform.energy.bending import Bending
+from quasiform.energy.contact import Contact
 from quasiform.energy.membrane import Membrane
-from quasiform.fabric import Fabric
+from quasiform.fabric import Fabric, ThreeStageLaw
+from quasiform.model import Model
 from quasiform.net import outline
 from quasiform.net.blank import cut, rectangle, rotation
 from quasiform.net.edges import disc, edge_points
-from quasiform.result.measures import percentile, shear_gradient, shear_stability
+from quasiform.result.measures import percentile, shear_gradient
+from quasiform.result.stability import local_waves, shear_stability
+from quasiform.tools.shapes import Plane, Tool
 from quasiform.unknowns import Unknowns
 
 OUTWARD = {"+x": (1.0, 0.0), "-x": (-1.0, 0.0), "+y": (0.0, 1.0), "-y": (0.0, -1.0)}
@@ -181,3 +186,117 @@ def test_doubts_do_not_depend_on_the_thickness():
     thin, thick = Fabric(), replace(Fabric(), thickness=3.0)
     x = sheared(blank, 1e-3, 2e-3, 30.0)
     assert_allclose(*(shear_stability(membrane_of(blank, fabric), x) for fabric in (thin, thick)))
+
+
+# Local stability: bands of softening shear, and fibres that buckle
+
+
+def sheet_in_space(length, width, size, fabric, gamma, strain, tool=False):
+    """Model of a rectangle and its x: even shear and fibre strain, warp along x."""
+    sheet = (unknowns := Unknowns()).sheet(rectangle(length, width, size), fabric, 3)
+    terms = [Membrane(sheet), Bending(sheet)]
+    if tool:
+        table = Tool("table", Plane(), -fabric.thickness / 2)
+        terms.append(Contact(sheet, table, unknowns.add("table", 1).dofs))
+    x0, fixed, drive = unknowns.start(sheet)
+    x0[sheet.dofs.size :] = -fabric.thickness / 2
+    model = Model("sheet", unknowns, [sheet], terms, x0, fixed, drive, 1.0, 1.0, 1.0)
+    x = x0.copy()
+    x[sheet.dofs.ravel()] = sheared(sheet.blank, strain, strain, gamma)
+    return model, x
+
+
+def second_variation(model, x, axis, amplitude):
+    """Second derivative of the energy along (n_nodes,) displacements along an axis."""
+    d = np.zeros_like(x)
+    d[model.sheet.dofs[:, axis]] = amplitude
+    return sum(
+        np.einsum("si,sij,sj", d[t.dofs], t.hessian(x, None, False), d[t.dofs]) for t in model.terms
+    )
+
+
+SOFT_FIBRES = ThreeStageLaw(C_ini=1.0)  # so that a band needs little length
+SOFT = replace(Fabric(), warp=SOFT_FIBRES, weft=SOFT_FIBRES, in_plane_bending=0.03)
+
+
+@pytest.mark.parametrize("axis", [1, 2])  # in the plane, across the warp; out of the plane
+def test_only_waves_above_the_critical_wavelength_are_unstable(axis):
+    name = ("band_wavelength_mm", "buckling_wavelength_mm")[axis - 1]
+    model, x = sheet_in_space(600.0, 10.0, 1.0, SOFT, 40.0, -0.01)
+    s, critical = model.sheet.blank.nodes[:, 0], local_waves(model, x)[1][name]
+    for factor, sign in ((0.93, 1.0), (1.07, -1.0)):
+        wave = np.sin(2 * np.pi * s / (factor * critical))
+        assert sign * second_variation(model, x, axis, wave) > 0
+
+
+def test_a_band_that_ends_needs_its_length():
+    """Its ends stretch the weft; the best wave is √2 times the critical one."""
+    model, x = sheet_in_space(400.0, 400.0, 8.0, SOFT, 40.0, -0.01)
+    band = local_waves(model, x)[1]["band_wavelength_mm"]
+    H = 0.99**2 * np.cos(np.radians(40.0)) ** 2
+    least = band * np.sqrt(4.0 * H / -shear_stability(model.membrane, x)[0])
+    for factor, sign in ((0.9, 1.0), (1.1, -1.0)):
+        model, x = sheet_in_space(300.0, factor * least, 1.5, SOFT, 40.0, -0.01)
+        X, Y = model.sheet.blank.nodes.T
+        mode = np.sin(np.sqrt(2) * np.pi * X / band) * np.cos(np.pi * Y / (factor * least))
+        assert sign * second_variation(model, x, 1, mode) > 0
+        width = (0.75, 1.25)[sign < 0] * least  # runs are made of whole squares
+        flags, _ = local_waves(*sheet_in_space(width, width, 4.0, SOFT, 40.0, -0.01))
+        assert flags["bands_may_form"].any() == (sign < 0)
+
+
+def test_runs_end_where_their_region_ends():
+    """A long band has room along the weft, and a wave of it none along the warp, or the reverse."""
+    for length, width in ((300.0, 8.0), (8.0, 300.0)):
+        fabric = replace(SOFT, in_plane_bending=0.1)  # 19 mm, and 140 mm long
+        flags, _ = local_waves(*sheet_in_space(length, width, 7.0, fabric, 40.0, -0.01))
+        assert not flags["bands_may_form"].any()
+
+
+@pytest.mark.parametrize(
+    ("fabric", "strain", "size", "expected"),
+    [
+        (SOFT, -0.01, 5.0, True),
+        (SOFT, -0.01, 2.0, False),  # the mesh shows them
+        (replace(Fabric(), in_plane_bending=0.03), -1e-5, 5.0, False),  # no room
+        (replace(Fabric(), in_plane_bending=0.0), -1e-5, 5.0, True),  # as fine as any mesh
+    ],
+)
+def test_bands_are_flagged_where_the_mesh_does_not_show_them(fabric, strain, size, expected):
+    model, x = sheet_in_space(200.0, 200.0, size, fabric, 40.0, strain)
+    flags, figures = local_waves(model, x)
+    assert figures["softening_share"] == pytest.approx(1.0)
+    assert flags["bands_may_form"].all() == flags["bands_may_form"].any() == expected
+
+
+def test_compression_without_softening_makes_no_bands():
+    """Below 22 degrees shear itself is stiff: only the fibres' compression turns them."""
+    model, x = sheet_in_space(80.0, 80.0, 5.0, replace(SOFT, in_plane_bending=0.0), 1.0, -0.2)
+    assert (shear_stability(model.membrane, x) < 0).all()
+    flags, figures = local_waves(model, x)
+    assert figures["softening_share"] == 0
+    assert not flags["bands_may_form"].any()
+
+
+@pytest.mark.parametrize(
+    ("strain", "size", "tool", "expected"),
+    [
+        (-1e-4, 8.0, False, True),  # 18 mm, finer than the mesh shows
+        (-1e-4, 4.0, False, False),  # the mesh shows it
+        (-1e-4, 8.0, True, False),  # a tool holds the sheet
+        (-2e-7, 80.0, False, False),  # longer than the sheet
+        (-1e-13, 80.0, False, False),  # round-off
+        (1e-4, 8.0, False, False),
+    ],
+)
+def test_compressed_fibres_are_flagged_where_they_may_buckle(strain, size, tool, expected):
+    fabric = replace(Fabric(), bending_weft=1e4)  # the warp alone may buckle
+    model, x = sheet_in_space(160.0, 40.0, size, fabric, 0.0, strain, tool)
+    flags, figures = local_waves(model, x)
+    assert flags["fibres_may_buckle"].all() == flags["fibres_may_buckle"].any() == expected
+    assert not flags["bands_may_form"].any()
+    if strain == -1e-4 and not tool:
+        euler = 4 * np.pi**2 * 3.403 / (1.004 * 160.0**2)
+        ratio = 2000.0 * (1 - (1 + strain) ** 2) / euler
+        assert figures["compression_by_buckling_stress"] == pytest.approx(ratio, rel=1e-6)
+        assert figures["compressed_share"] == pytest.approx(1.0)

@@ -53,7 +53,7 @@ def test_full_path_is_estimated_from_the_same_on_a_coarser_mesh():
     found = judged([coarse, ROW, convex])
     assert [row.estimate for row in found] == [
         None,
-        pytest.approx(discretisation_error([46.0, 42.0])),
+        pytest.approx(discretisation_error([46.0, 42.0], (10.0, 20.0))),
         None,
     ]
     assert judged(found) == found

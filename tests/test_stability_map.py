@@ -139,7 +139,7 @@ def test_error_where_the_program_gives_none():
     error, origin = found["fine", "shear_angle_mean_deg"]
     assert error == pytest.approx(1.25 * 0.5 * (r + r**2 + r**3))
     assert origin == "sizes of the map"
-    assert found["default", "shear_angle_mean_deg"] == (pytest.approx(3.0), "sizes of the map")
+    assert found["default", "shear_angle_mean_deg"] == (pytest.approx(1.875), "sizes of the map")
     assert found["coarse", "shear_angle_mean_deg"] == (pytest.approx(3.0), "the next finer size")
     rows[0] = replace(rows[0], outcome="stopped")
     found = judge.errors("box-45", by_cell(*rows))

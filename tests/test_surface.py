@@ -860,3 +860,17 @@ def test_a_closed_surface_is_turned_outwards_whatever_the_sense_of_most_triangle
     for triangles in (outwards, inwards, one_turned):
         corners = vertices[oriented(vertices, triangles)]
         assert np.linalg.det(corners - vertices.mean(0)).sum() > 0
+
+
+@pytest.mark.parametrize(("middle", "refused"), [(0.0, True), (20.0, False)])
+def test_a_hole_is_refused_where_only_the_middle_of_its_edge_is_in_the_box(middle, refused):
+    x, y = (c.ravel() for c in np.meshgrid(10.0 * np.arange(4), 10.0 * np.arange(4)))
+    vertices = np.column_stack([x - 15, y - 5, 0 * x])
+    cells = [4 * j + i for j in range(3) for i in range(3) if (i, j) != (1, 1)]
+    triangles = np.array([t for c in cells for t in ((c, c + 1, c + 5), (c, c + 5, c + 4))])
+    box = np.array([middle, 5.0, 0.0]) + np.array([[-1.0], [1.0]])  # between two corners
+    if refused:
+        with pytest.raises(InputError, match="a hole of 4 edges"):
+            check_surface(vertices, triangles, *box)
+    else:
+        check_surface(vertices, triangles, *box)

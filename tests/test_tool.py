@@ -553,3 +553,9 @@ def test_flipped_twice_is_the_shape_itself():
 def test_bad_tool_is_refused(make, message):
     with pytest.raises(InputError, match=message):
         make()
+
+
+def test_a_flat_core_away_from_the_origin_is_refused():
+    square = np.array([[0.0, 0, 9], [4, 0, 9], [4, 4, 9], [0, 4, 9]])
+    with pytest.raises(InputError, match="core of a rounded solid"):
+        Rounded(square, 2.0)

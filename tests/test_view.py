@@ -90,7 +90,7 @@ def test_words(formed, pulled):
     words = view.words(formed.record)
     assert "hemisphere-45" in words
     assert f"{np.abs(formed.shear_angle).max():.1f}°" in words
-    assert ", converged and certified" in words
+    assert ", converged, but not certified: a fibre cuts" in words
     assert "converged, but not certified: collapsed" in view.words(pulled.record)
 
 

@@ -232,8 +232,8 @@ class Scene:
     orientation: Annotated[Angle | None, about("Angle from x to the warp.")] = None
     law: Annotated[Law | None, about("Fabric: locking, best-fit or FILE.toml.")] = None
     size: Annotated[Length | None, Parameter(group=MESH)] = None
-    """Spacing of the fibre lines. `form` then follows the whole path on this mesh; by default the
-    end is solved at the scene's size, or 5, and the path on a coarser mesh."""
+    """Spacing of the fibre lines. `form` then follows the whole path on this mesh. By default that
+    of the scene, or 5, or finer where a fillet needs it."""
     travel: Annotated[Length | None, about("Travel of the punch.")] = None
     symmetry: Literal["auto", "none"] | None = None
     """Model a half or a quarter where everything is mirrored (auto), or always the whole."""

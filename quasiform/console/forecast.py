@@ -15,6 +15,8 @@ import numpy as np
 
 from ..checks import InputError
 from ..model import Model
+from ..solve import levels
+from ..solve.dependence import COARSER, FINER
 from ..solve.equilibrium import Equilibrium, NotConvergedError
 
 # linear solves for each largest increment of the travel, geometric means of runs at sizes of 10 to
@@ -44,18 +46,15 @@ def meshes(
     `refine` does; `seeds` perturbed runs of the path come after it.
     """
     path = (WITH_TOOLS if model.contacts else IN_PLANE) * max(model.travel / model.increment, 1.0)
-    models, coarsest = [model], model.coarsest * (1 + 1e-9)
-    with suppress(InputError):  # too coarse for the blank
-        while not model.changed and (len(models) < 3 or not one_mesh):
-            size = 2 * models[-1].size
-            if size > coarsest and len(models) > 1:
-                break
-            models.append(model.recipe.build(size, like=model))
-    if one_mesh or 2 * model.size > coarsest:  # the coarser ones are for the error estimate
-        solves = [path] * len(models)
-    else:
-        solves = [CARRIED] * (len(models) - 1) + [path]
-    solves[0 if solves[0] == path else -1] += seeds * path
+    models = [model] if one_mesh else levels.meshes(model)
+    solves = [path * (1 + seeds), *[CARRIED] * (len(models) - 1)]
+    with suppress(InputError):  # too coarse for the blank, or the user's own mesh
+        if not model.changed:  # for the error of the mesh, and what depends on in-plane bending
+            again = 2 if model.contacts else 1
+            others = [(COARSER, again * path), *[(FINER, CARRIED)] * (len(models) == 1)]
+            for ratio, count in others:
+                models.append(model.recipe.build(ratio * models[0].size, like=model))
+                solves.append(count)
     try:
         return tuple(
             Mesh(one.size, int((~one.fixed).sum()), count, COST * _step(one, linear))
@@ -70,7 +69,7 @@ def words(found: tuple[Mesh, ...] | None) -> str:
     if found is None:
         return "not known: the model has no tangent at its start"
     seconds = sum(mesh.solves * mesh.seconds for mesh in found)
-    sizes = " and ".join(f"{mesh.size:g}" for mesh in found)
+    sizes = " and ".join(f"{mesh.size:.3g}" for mesh in found)
     return (
         f"about {duration(seconds)} on this machine as busy as it is now "
         f"({duration(LEAST * seconds)} to {duration(MOST * seconds)}; buckling takes longest), "

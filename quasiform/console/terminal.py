@@ -19,7 +19,12 @@ if TYPE_CHECKING:
     from ..result.run import Result
 
 WIDE = 2.0  # degrees: an error of the shear angle that is pointed out
-SPREAD = ("force_N", "shear_angle_deg", "shear_angle_mean_deg")  # shown of perturbed starts
+SPREAD = (
+    "force_N",
+    "load_work_mJ",
+    "shear_angle_deg",
+    "shear_angle_mean_deg",
+)  # shown of perturbed starts
 
 
 def say(*lines: str) -> None:
@@ -78,7 +83,9 @@ def describe(model: Model) -> str:
     return "\n".join(
         [
             f"{model.name}: {len(blank.nodes)} nodes, {len(blank.triangles)} triangles, "
-            f"{(~model.fixed).sum()} dofs, travel {model.travel:g} mm",
+            f"{(~model.fixed).sum()} dofs, travel {model.travel:g}"
+            + " mm"
+            * (model.force_name == "force_N"),
             f"  fabric: {model.sheet.fabric.name}",
             *(f"  {entry}: {why}" for entry, why in model.description),
         ]
@@ -88,20 +95,23 @@ def describe(model: Model) -> str:
 def report(result: Result, seconds: float) -> str:
     """Key numbers of a run, with their errors and what they are worth."""
     summary, travel = result.summary(), result.model.travel
-    rows = _numbers(summary) | _errors(result, summary) | _worth(summary)
+    name = result.model.force_name
+    numbers = _numbers(summary, "work of load" if name == "load_work_mJ" else "force", name)
+    rows = numbers | _errors(result, summary) | _worth(summary)
     rows["wall time"] = f"{summary['wall_s']:.1f} s"
     rows["total time"] = f"{seconds:.1f} s, with error estimate and files"
     reason = f": {summary['reason']}" if summary["reason"] else ""
-    reached = f"{number(summary['reached_mm'])} of {number(travel)} mm"
+    unit = " mm" if name == "force_N" else ""
+    reached = f"{number(summary['reached_mm'])} of {number(travel)}{unit}"
     return f"{summary['status']} at {reached}{reason}\n{table(rows.items(), 2)}"
 
 
-def _numbers(summary: Mapping[str, Any]) -> dict[str, str]:
+def _numbers(summary: Mapping[str, Any], what: str, name: str) -> dict[str, str]:
     errors = summary["estimated_errors"].items()
     off = {name: f" ± {number(error, 2)}" for name, error in errors if error is not None}
     gamma = summary["shear_angle_deg"]
     rows = {
-        "force": f"{number(summary['force_N'])}{off.get('force_N', '')} N",
+        what: f"{number(summary[name])}{off.get(name, '')} {name.rpartition('_')[2]}",
         "shear angle": f"max {gamma['max']:.2f}, p99 {gamma['p99']:.2f}"
         f"{off.get('shear_angle_deg', '')}, mean {gamma['mean']:.2f}"
         f"{off.get('shear_angle_mean_deg', '')} deg",
@@ -117,7 +127,29 @@ def _numbers(summary: Mapping[str, Any]) -> dict[str, str]:
                 for name, value in summary[key].items()
             )
             rows[row] += f" {unit}"
+    if summary["assumed"]:
+        rows["assumed"] = in_short(summary["assumed"])
     return rows
+
+
+def in_short(names: Iterable[str]) -> str:
+    """The names in a line, the numbers of a part of the scene together.
+
+    Examples
+    --------
+    >>> in_short(["blank.length", "tools.punch.radius", "areas.pink", "fabric.compaction"])
+    'numbers of blank, punch, areas; compaction of the fabric'
+    """
+    parts: dict[str, None] = {}
+    keys = []
+    for name in names:
+        head, *rest = name.split(".")
+        if head == "fabric":
+            keys.append(rest[0])
+        else:
+            parts[rest[0] if head == "tools" else head] = None
+    words = [f"numbers of {', '.join(parts)}"] if parts else []
+    return "; ".join(words + ([f"{', '.join(keys)} of the fabric"] if keys else []))
 
 
 def _errors(result: Result, summary: Mapping[str, Any]) -> dict[str, str]:

@@ -26,7 +26,7 @@ from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from ..checks import InputError, suggestion
+from ..checks import InputError, force_column, suggestion
 from ..net.blank import rotation
 from ..result.measures import percentile
 from ..result.record import Record
@@ -101,7 +101,7 @@ def _row(run: Record) -> dict[str, str]:
     numbers = {
         "size_mm": (run.parameters.get("size"), "g"),
         "travel_mm": (run.travel, ".4g"),
-        "force_N": (run.force, ".4g"),
+        force_column(run.travel_name): (run.force, ".4g"),
         "shear_angle_max_deg": (gamma.max(), ".2f"),
         "shear_angle_p99_deg": (percentile(gamma, area, 0.99), ".2f"),
         "shear_angle_mean_deg": (area @ gamma / area.sum(), ".2f"),
@@ -165,7 +165,7 @@ def _head(
 ) -> None:
     words = f"{plot.travel_of(run)}, |γ| max {np.abs(run.sheet.shear_angle).max():.1f}°"
     if force and np.isfinite(run.force):
-        words += f"\nforce {round(run.force, 3) + 0.0:.4g} N"
+        words += f"\nforce {round(run.force, 3) + 0.0:.4g} {run.force_unit}"
     if turned_over:
         words += ", seen from below" if force else "\nseen from below"
     axes.set_title("\n".join(textwrap.wrap(label, 40)) + "\n" + words, parse_math=False)
@@ -304,7 +304,7 @@ def _forces(runs: Runs, labels: Labels, end: float, notes: list[str]) -> Figure:
     figure, shown = plot.new_figure(3.3), []
     axes = figure.subplots()
     for k, (label, run) in enumerate(zip(labels, runs, strict=True)):
-        if "force_N" not in run.history:
+        if run.forces is None:
             notes.append(f"{label}: no force in its history")
             continue
         look = {"marker": MARKS[k % len(MARKS)], "markersize": 3.5, "clip_on": True}
@@ -315,10 +315,14 @@ def _forces(runs: Runs, labels: Labels, end: float, notes: list[str]) -> Figure:
         hollow = {"marker": "o", "markersize": 3.5, "markerfacecolor": "white", "color": "0.4"}
         axes.plot([], [], ls="", label="hollow: on a\ncoarser mesh", **hollow)
     names = dict.fromkeys(run.travel_name.removesuffix("_mm") for run in runs)
-    axes.set_xlabel(f"{' or '.join(name.replace('_', ' ') for name in names)} in mm")
-    axes.set_ylabel("force in N")
+    units = {run.force_unit: f"{plot.words_of(run)[1]} in {run.force_unit}" for run in shown}
+    lengths = " in mm" if "N" in units or not units else ""
+    axes.set_xlabel(" or ".join(name.replace("_", " ") for name in names) + lengths)
+    if "N" in units:
+        units["N"] = "force in N"
+    axes.set_ylabel(" or ".join(units.values()) or "force in N")
     axes.set_xlim(left=0.0)
-    sound = [run.history["force_N"][: plot.sound_rows(run)] for run in shown]
+    sound = [run.forces[: plot.sound_rows(run)] for run in shown]
     low, high = (f(np.concatenate([*sound, [0.0]])) for f in (np.min, np.max))
     if high > low and any(run.summary.get("collapse") for run in shown):
         axes.set_ylim(1.05 * low - 0.05 * high, 1.5 * high - 0.5 * low)  # of what means something

@@ -50,7 +50,8 @@ SCALES = (10, 20, 30, 45, 60, 75, 90)  # ends of the colour scale, degrees
 AZIMUTH, ELEVATION = np.radians(-62.0), np.radians(36.0)
 TRUSTED = "#f2f2f2"
 DOUBTS = {  # later ones lie over earlier ones
-    "unstable_in_shear": ("#9ecae1", "unstable: bands may form"),
+    "bands_may_form": ("#9ecae1", "softening: bands finer than the mesh may form"),
+    "fibres_may_buckle": ("#74c476", "compressed: fibres may buckle, finer than the mesh"),
     "rovings_may_slip": ("#807dba", "steeper than {slip:g}°/mm: rovings may slip"),
     "beyond_identified_range": ("#fdae61", "beyond {range:g}°: law not identified"),
     "collapsed": ("#b2182b", "collapsed"),
@@ -148,7 +149,7 @@ def _title(run: Record) -> str:
     summary = run.summary
     size, path = run.parameters.get("size"), summary.get("path_size_mm")
     size = size if isinstance(size, Real) else run.sheet.blank.size
-    travel, force, unit = _words(run)
+    travel, force, unit = words_of(run)
     case = [run.case, run.fabric_name, f"size {size:.3g} mm"]
     case[2] += f" (path at {path:.3g} mm)" if path else ""
     case.append(f"{travel} {summary['reached_mm']:.4g}{' mm' if unit == 'N' else ''}")
@@ -170,10 +171,10 @@ def verdict(run: Record) -> str:
     return f"{head}: {'; '.join(run.reasons)}"
 
 
-def _words(run: Record) -> tuple[str, str, str]:
+def words_of(run: Record) -> tuple[str, str, str]:
     """Names of the travel and of its force, and the unit of the force."""
-    if not run.travel_name.endswith("_mm"):
-        return "load factor", "load's potential", "mJ"
+    if run.force_unit == "mJ":
+        return "load factor", "work of the load by its factor", "mJ"
     if run.has_tools:
         return "punch travel", "punch force", "N"
     return "displacement", "force", "N"
@@ -181,7 +182,8 @@ def _words(run: Record) -> tuple[str, str, str]:
 
 def travel_of(run: Record) -> str:
     """Travel of the last sheet of a run, with its name."""
-    return f"{run.travel_name.removesuffix('_mm').replace('_', ' ')} {run.travel:.4g} mm"
+    name = run.travel_name.removesuffix("_mm").replace("_", " ")
+    return f"{name} {run.travel:.4g}{' mm' * (run.force_unit == 'N')}"
 
 
 def collapsed(sheet: FormedSheet) -> np.ndarray:
@@ -495,8 +497,8 @@ def frame(axes: Axes, points: FloatArray, view: FloatArray | None = None) -> Non
 def draw_force(
     axes: Axes, run: Record, look: dict[str, Any], label: str | None = None, tail: str | None = None
 ) -> None:
-    """Force over travel; faded from a collapse on, hollow where it is that of a coarser mesh."""
-    travel, force = run.history[run.travel_name], run.history["force_N"]
+    """Force over travel with its error; faded from a collapse on, hollow on a coarser mesh."""
+    travel, force = run.history[run.travel_name], run.forces
     n = sound_rows(run)
     first = int(axes.get_yscale() == "log")  # no force at the start
     marks = {"marker": look.get("marker", "o"), "markersize": look.get("markersize", 2)}
@@ -505,6 +507,10 @@ def draw_force(
     if n < len(travel):
         faded = {"color": look["color"], "linestyle": ":", "alpha": 0.6}
         axes.plot(travel[n - 1 :], force[n - 1 :], **faded, label=tail)
+    if (error := run.history.get(f"force_error_{run.force_unit}")) is not None:
+        low, high = force - error, force + error
+        band = {"color": look["color"], "alpha": 0.15, "linewidth": 0}
+        axes.fill_between(travel[first:n], low[first:n], high[first:n], **band)
     sizes = run.history.get("size_mm", np.zeros(len(travel)))
     coarse = (sizes > sizes[-1] * (1 + 1e-9))[first:n]
     if coarse.any():
@@ -521,7 +527,7 @@ def sound_rows(run: Record) -> int:
 
 def _draw_force_panel(axes: Axes, run: Record) -> None:
     """Force over travel, with the closed form of an off-axis test."""
-    travel, force = run.history[run.travel_name], run.history["force_N"]
+    travel, force = run.history[run.travel_name], run.forces
     scale_force(axes, force, force[: sound_rows(run)])
     known = off_axis_theory(run)
     look = CURVE | {"marker": "o", "linestyle": "-"}
@@ -529,7 +535,7 @@ def _draw_force_panel(axes: Axes, run: Record) -> None:
     if known:
         u, _, f = known
         axes.plot(u, f, **THEORY, label="power balance,\ninextensible fibres")
-    _, name, unit = _words(run)
+    _, name, unit = words_of(run)
     if run.summary["reason"]:
         label = f"stopped at {travel[-1]:.4g}{' mm' if unit == 'N' else ''}"
         axes.plot([], [], "X", color=STOP, markersize=6, label=label)
@@ -585,7 +591,7 @@ def _finish_panel(axes: Axes, run: Record, travel: float, value: float, label: s
     """Label a panel over the travel and mark where a stopped run ended."""
     if run.summary["reason"]:
         axes.plot(travel, value, "X", color=STOP, markersize=6, zorder=3)
-    name, _, unit = _words(run)
+    name, _, unit = words_of(run)
     axes.set_xlim(0.0, 1.02 * run.goal)
     axes.set_xlabel(f"{name} in mm" if unit == "N" else name)
     axes.set_ylabel(label)

@@ -123,7 +123,7 @@ def words(run: Record) -> str:
     return (
         f"{run.case}, {run.fabric_name}, {len(run.sheet.triangles)} triangles: "
         f"{plot.travel_of(run)}, largest |γ| {np.abs(run.sheet.shear_angle).max():.1f}°, "
-        f"force {run.force:.4g} N, {plot.verdict(run)}"
+        f"force {run.force:.4g} {run.force_unit}, {plot.verdict(run)}"
     )
 
 

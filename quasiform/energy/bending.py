@@ -9,7 +9,7 @@ The derivatives are by the reference arc lengths, so κ follows the fibres at an
 rotation degrees of freedom, Poisson's effect or twist. The in-plane part of k is resisted with the
 fraction r of the stiffness: B/2 [(1 - r)(n·k)² + r |k|²]. It is an exact potential: n is a function
 of the same five nodes and is differentiated with the rest. With r = 1 it is quadratic, and no
-normal is needed.
+normal is needed; so it is in a sheet that is held flat, where r B/2 |k|² is all of it.
 
 A clamp or a mirror plane supplies the missing neighbour and counts for the half of the stencil's
 area that lies in the model: k = 2 (x₁ - x₀ - l t)/l² at a clamp with the direction t. A free end
@@ -88,14 +88,17 @@ class Bending(Term):
         self, nodes: IntArray, rows: FloatArray, constant: FloatArray, areas: FloatArray
     ) -> None:
         """Keep stencils of nodes (m, k), and of k_warp, k_weft, u, v as rows (m, 4, k, 3)."""
-        m, k = nodes.shape
-        self.constant = constant
-        self.operator = (rows[:, :, None] * np.eye(3)[None, None, :, None, :]).reshape(m, 12, 3 * k)
+        (m, k), dim = nodes.shape, self.sheet.dim
+        self.constant, rows = constant[..., :dim], rows[..., :dim]
+        each = rows[:, :, None] * np.eye(dim)[None, None, :, None, :]
+        self.operator = each.reshape(m, 4 * dim, dim * k)
         sheet, self.nodes, fabric = self.sheet, nodes, self.sheet.fabric
         self.name = sheet.named("bending")
-        self.dofs = sheet.dofs[nodes].reshape(m, 3 * k)
+        self.dofs = sheet.dofs[nodes].reshape(m, dim * k)
         self.stiffness = areas[:, None] * [fabric.bending_warp, fabric.bending_weft]
         self.in_plane = fabric.in_plane_bending
+        if dim == 2:
+            self.stiffness, self.in_plane = self.in_plane * self.stiffness, 1
         self.quadratic = self.in_plane == 1
 
     def curvature(self, x: FloatArray) -> FloatArray:
@@ -103,9 +106,14 @@ class Bending(Term):
         k, _, _, n, _ = self._frame(x)
         return np.einsum("sfc,sc->sf", k, n)
 
+    @property
+    def _to_k(self) -> FloatArray:
+        """(n_stencils, 2 dim, n_local) k of warp and weft from the local unknowns."""
+        return self.operator[:, : 2 * self.sheet.dim]
+
     def _second_differences(self, x: FloatArray) -> FloatArray:
-        """(n_stencils, 2, 3) k of warp and weft."""
-        k = (self.operator[:, :6] @ x[self.dofs][:, :, None]).reshape(-1, 2, 3)
+        """(n_stencils, 2, dim) k of warp and weft."""
+        k = (self._to_k @ x[self.dofs][:, :, None]).reshape(-1, 2, self.sheet.dim)
         return k + self.constant[:, :2]
 
     def _frame(self, x: FloatArray) -> tuple[FloatArray, ...]:
@@ -139,7 +147,7 @@ class Bending(Term):
         r = self.in_plane
         if r == 1:
             force = self.stiffness[..., None] * self._second_differences(x)
-            return (force.reshape(-1, 1, 6) @ self.operator[:, :6])[:, 0]
+            return (force.reshape(len(force), 1, -1) @ self._to_k)[:, 0]
         k, *_, kappa, _, d = self._first_derivative(x)
         force = np.einsum("sf,sfrc->src", (1 - r) * self.stiffness * kappa, d)
         force[:, :2] += r * self.stiffness[..., None] * k
@@ -149,8 +157,8 @@ class Bending(Term):
         """With `convex` without the part with the second derivative of κ (Gauss-Newton)."""
         r = self.in_plane
         if r == 1:
-            K = self.operator[:, :6]
-            return K.transpose(0, 2, 1) @ (np.repeat(self.stiffness, 3, axis=1)[..., None] * K)
+            K, each = self._to_k, np.repeat(self.stiffness, self.sheet.dim, axis=1)
+            return K.transpose(0, 2, 1) @ (each[..., None] * K)
         _, u, v, n, length, kappa, q, d = self._first_derivative(x)
         count = len(u)
         weight = (1 - r) * self.stiffness

@@ -9,13 +9,13 @@ C² and has no stiffness at touch: with the compaction stiffness k and the blend
 and w is the area of the sheet that the point stands for.
 
 A net of straight edges is not the smooth sheet that it stands for: with its nodes on a tool of
-curvature c it is shorter than the sheet by (c h)²/24, and its edges cut into the tool by c h²/8.
-Therefore there are two sorts of points. *Nodes* touch with their place averaged along both fibre
-lines, x + (x₋ - 2 x + x₊)/24, which puts them where the net has the right length. *Middles of
-edges* touch when they are deeper than the sag s = l/8 of an edge l on a radius as small as itself:
-they act only where a tool bends more sharply than the mesh can follow, and bound what the nodes
-miss. (With s = 0 edges ride over fillets one by one: three times the linear solves, and a force
-that ripples.)
+curvature c it is shorter than the sheet by (c h)²/24, and its edges cut into the tool by c h²/8, by
+c h²/12 in the mean. Therefore there are two sorts of points. *Nodes* touch with their place
+averaged along both fibre lines, x + a (x₋ - 2 x + x₊), which lifts them by a c h² for each family
+(`share`). *Middles of edges* touch when they are deeper than the sag s = l/8 of an edge l on a
+radius as small as itself: they act only where a tool bends more sharply than the mesh can follow,
+and bound what the nodes miss. (With s = 0 edges ride over fillets one by one: three times the
+linear solves, and a force that ripples.)
 
 The last local degrees of freedom are those of the tool, so that the force on a tool is a derivative
 of the potential like any other: its height z, and the tilts a/L and b/L about x and y of a tool
@@ -38,7 +38,9 @@ from .term import Term
 
 BLEND = 0.05  # e, mm
 LEVER = 100.0  # L, mm: tilts are measured by the motion of a point at this distance
-LENGTH_TRUE = 1 / 24
+LENGTH = 1 / 24  # a that keeps the length of one family of fibres on a curved tool
+MEAN = 1 / 12  # a that puts the net on the tool in the mean
+COARSE = 0.6  # of a tool's smallest radius: a coarser net jumps over it with a = 1/12
 SAG = 1 / 8
 FAR_OFF = 20.0  # mm
 
@@ -54,8 +56,22 @@ class Points:
     sag: FloatArray  # (m,) s, mm
 
 
-def at_nodes(blank: Blank) -> Points:
-    """Nodes, averaged along the fibre lines so that the net keeps its length on a curved tool."""
+def share(tool: Tool, size: float) -> float:
+    """Return a, by which places are averaged along each family of fibres on a tool.
+
+    A ball bends both families wherever it touches, and what counts is the length of the fibres on
+    it: each family lifts the nodes by half of what 1/24 would. On edges and fillets the sheet bends
+    over a short length, and what counts is the work of the contact force: the mean place, 1/12.
+    """
+    if getattr(tool.shape, "is_ball", False):
+        return LENGTH / 2
+    sharpest = getattr(tool.shape, "sharpest", 0.0)
+    known = sharpest > 0 or tool.motion != "driven"  # a punch from a file may be a ball or not
+    return MEAN if known and not size > COARSE * sharpest > 0 else LENGTH
+
+
+def at_nodes(blank: Blank, share: float = LENGTH) -> Points:
+    """Nodes, with their places averaged along the fibre lines by `share`."""
     n = len(blank.nodes)
     own = np.arange(n)
     nodes = np.repeat(own[:, None], 5, axis=1)
@@ -67,19 +83,19 @@ def at_nodes(blank: Blank) -> Points:
         side[segments[1], 0], side[segments[0], 1] = segments
         along = blank.warp if family == "warp" else blank.weft
         inner = (side >= 0).all(1)
-        share = np.repeat(LENGTH_TRUE * inner[:, None].astype(float), 3, axis=1)
+        part = np.repeat(share * inner[:, None].astype(float), 3, axis=1)
         for axis, plane in enumerate("xy"):
             if plane in blank.mirror and abs(along[axis]) > 1 - 1e-8:
                 on_plane = (np.abs(blank.nodes[:, axis]) < 1e-9) & (side >= 0).any(1)
-                share[on_plane] = LENGTH_TRUE  # the missing neighbour is the mirrored other one
-                share[on_plane, axis] = 0.0
+                part[on_plane] = share  # the missing neighbour is the mirrored other one
+                part[on_plane, axis] = 0.0
                 side[on_plane] = side[on_plane].max(1)[:, None]
                 inner |= on_plane
         for k in (0, 1):
             column = 1 + 2 * f + k
             nodes[inner, column] = side[inner, k]
-            weights[inner, column] = share[inner]
-            weights[inner, 0] -= share[inner]
+            weights[inner, column] = part[inner]
+            weights[inner, 0] -= part[inner]
     return Points("", nodes, weights, blank.node_areas, np.zeros(n))
 
 
@@ -105,7 +121,7 @@ class Contact(Term):
         self, sheet: Sheet, tool: Tool, tool_dofs: IntArray, points: Points | None = None
     ) -> None:
         self.sheet, self.tool, self.tool_dofs = sheet, tool, np.ravel(tool_dofs)
-        self.points = points or at_nodes(sheet.blank)
+        self.points = points or at_nodes(sheet.blank, share(tool, sheet.blank.size))
         self.name = f"{sheet.named('contact')} with {tool.name}{self.points.name}"
         m = len(self.points.nodes)
         nodal = sheet.dofs[self.points.nodes].reshape(m, -1)

@@ -25,6 +25,7 @@ from .contact import Contact
 from .term import Standing, Term
 
 STICK = 0.1  # stiffness of elastic stick per area, N/mm³
+FAST = 1e6  # mm: reach of elastic stick that no sheet comes to
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +108,14 @@ class Friction(Term):
         anchor = np.where(touched[:, None], points, np.nan)
         limit = pressure * self.contact.area
         return Rubbing(points, p, anchor, anchor, self.contact.normal(new.x), limit)
+
+    def slide(self, x: FloatArray, state: Rubbing) -> float:
+        """Longest way of a point along the tool from its anchor, mm."""
+        return float(self._slide(self.contact.relative(x), state)[1].max(initial=0.0))
+
+    def stuck(self, state: Rubbing) -> Rubbing:
+        """State in which no point that touches can slip."""
+        return replace(state, limit=np.where(state.limit > 0, FAST * self.stick, 0.0))
 
     def _slide(self, points: FloatArray, state: Rubbing) -> tuple[FloatArray, FloatArray]:
         arm = points - state.anchor

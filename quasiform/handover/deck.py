@@ -81,7 +81,7 @@ def abaqus_deck(
     check_number("spacing", 1.0 if spacing is None else spacing)
     if path.exists() and not force:
         raise InputError(f"{path} exists already: choose another name, or replace it with --force")
-    bends = any(isinstance(term, Bending) for term in model.terms)
+    bends = any(isinstance(term, Bending) and term.sheet.dim == 3 for term in model.terms)
     places = model.sheet.positions(model.x0)
     places = np.pad(places, ((0, 0), (0, 3 - places.shape[1])))
     nodes, labels = 1 + np.arange(len(places)), 1 + np.arange(len(blank.triangles))

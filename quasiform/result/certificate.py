@@ -6,20 +6,27 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .measures import LIFTED, max_penetration
+from .measures import LIFTED, bent_radius, chord_penetration, max_penetration
 from .outcome import Outcome
+from .stability import RESOLVED
 
 RESIDUAL = 1e-3  # of the driving force
 BALANCE = 1e-2  # of the work done
 PENETRATION = 0.03  # of the thickness
+CHORD = 1 / 3  # of the thickness: how far a chord of a fibre may cut into a tool
+FINE = 0.5 * 1.02  # of the smallest radius under the sheet, by which penetrations are not counted
+LOWER = 1e-3  # of the energy: what another state must have less
 WIDE = 0.2  # of a value: a mesh error beyond this limits the trust in it
+SMALL = 0.1  # N, degrees or mm: smaller errors are not reported
 SHARE = 0.005  # of the area: less is not reported
 WRINKLED = "wrinkled, one of many states: perturbed starts show what is robust"
 ROBUST = {"robust": True}  # a quantity without perturbed runs
+FINER = "finer than the mesh shows (wavelengths from {shown:.3g} mm on)"
 LIMITED = {
     "beyond_identified_range": "sheared beyond {range:g}°, the tested range of the law",
-    "unstable_in_shear": "unstable in shear: bands may form",
+    "bands_may_form": f"so soft in shear that bands may form, {FINER}",
     "rovings_may_slip": "sheared so unevenly that rovings may slip",
+    "fibres_may_buckle": f"so compressed that fibres may buckle, {FINER}",
 }
 
 
@@ -37,7 +44,8 @@ class Certificate:
         Why it is not certified.
     figures : dict of name to float
         The numbers behind it: residual_relative, negative_pivots, energy_balance_relative,
-        stabilisation_work_relative, penetration_mm, penetration_allowed_mm, flange_lift_mm.
+        stabilisation_work_relative, penetration_mm, penetration_allowed_mm, fibre_chord_mm,
+        fibre_chord_allowed_mm, smallest_radius_mm, flange_lift_mm.
 
     Examples
     --------
@@ -60,16 +68,22 @@ class Certificate:
 def certify(result: Outcome) -> Certificate:
     """Check the end of a run."""
     model, pivots = result.model, result.negative_pivots
+    x, thickness = result.states[-1].x, model.sheet.fabric.thickness
     figures = {
         "residual_relative": result.residual,
         "negative_pivots": np.nan if pivots is None else float(pivots),
         "energy_balance_relative": result.energy_balance,
         "stabilisation_work_relative": result.stabilisation,
-        "penetration_mm": max_penetration(model, result.states[-1].x),
-        "penetration_allowed_mm": PENETRATION * model.sheet.fabric.thickness,
+        "penetration_mm": max_penetration(model, x),
+        "penetration_allowed_mm": PENETRATION * thickness,
+        "fibre_chord_mm": chord_penetration(model, x, fibres=True),
+        "fibre_chord_allowed_mm": CHORD * thickness,
+        "smallest_radius_mm": bent_radius(model, x),
         "flange_lift_mm": result.flange_lift,
     }
     depth, allowed = figures["penetration_mm"], figures["penetration_allowed_mm"]
+    chord, radius = figures["fibre_chord_mm"], figures["smallest_radius_mm"]
+    size = model.sheet.blank.size
     given, own = result.settings.get("increment"), model.increment
     scattered = [
         name for name in result.quantities if not result.spread.get(name, ROBUST)["robust"]
@@ -86,9 +100,17 @@ def certify(result: Outcome) -> Certificate:
     }
     doubtful = {
         f"penetration {depth:.4f} mm at a node, {allowed:.4f} allowed": depth > allowed,
+        f"a fibre cuts {chord:.2f} mm into a tool, {CHORD * thickness:.2f} allowed": (
+            chord > CHORD * thickness
+        ),
+        f"a mesh of {size:.3g} mm is too coarse for the radius of {radius:.3g} mm that the sheet "
+        "bends over, half of it allowed": size > FINE * radius,
         f"collapsed from {collapse} mm on": bool(collapse),
         steps: too_long,
         f"perturbed starts scatter in {', '.join(scattered)}": bool(scattered),
+        f"a perturbed start found a state with {result.lower:.3g} mJ less": (
+            result.lower > LOWER * abs(result.energy)
+        ),
         WRINKLED: not result.spread and _wrinkled(result),
     }
     checks = {"stopped early": bool(result.reason)} | unsolved | doubtful
@@ -101,10 +123,17 @@ def _lifted(result: Outcome) -> bool:
 
 
 def _wrinkled(result: Outcome) -> bool:
-    """Whether the flange is lifted and waves; on a coarse mesh it lifts beside a fillet too."""
-    return _lifted(result) and any(
-        result.wrinkles[f"waving_{family}_lines"] for family in ("warp", "weft")
-    )
+    """Whether the flange is lifted and waves; on a coarse mesh it lifts beside a fillet too.
+
+    Or whether a sheet without contact has buckled.
+    """
+    waving = any(result.wrinkles.get(f"waving_{family}_lines") for family in ("warp", "weft"))
+    return (_lifted(result) and waving) or _buckled(result)
+
+
+def _buckled(result: Outcome) -> bool:
+    depth = result.wrinkles.get("buckle_mm", 0.0)
+    return depth > LIFTED * result.model.sheet.fabric.thickness
 
 
 def one_of_many(result: Outcome) -> str:
@@ -119,6 +148,8 @@ def one_of_many(result: Outcome) -> str:
         )
     if _lifted(result):
         signs.append(f"the flange lifts by {result.flange_lift:.2f} mm")
+    if _buckled(result):
+        signs.append(f"the sheet has buckled by {result.wrinkles['buckle_mm']:.3g} mm")
     if scattered := [name for name, entry in result.spread.items() if not entry["robust"]]:
         signs.append(f"perturbed starts scatter in {', '.join(scattered)}")
     return "; ".join(signs)
@@ -134,6 +165,7 @@ def spoken(quantity: str) -> str:
     """
     known = {
         "force_N": "the force",
+        "load_work_mJ": "the work of the load",
         "shear_angle_deg": "the largest shear angles (p99)",
         "shear_angle_mean_deg": "the mean shear angle",
     }
@@ -145,14 +177,22 @@ def spoken(quantity: str) -> str:
 def trust(result: Outcome) -> list[str]:
     """What limits the numbers of a run, one sentence each."""
     found = [
-        f"the mesh error of {spoken(name)} is {100 * error / abs(value):.0f} % of its value"
+        f"the mesh error of {spoken(name)} is {error:.2g} at a value of {value:.3g}"
         for name, value in result.quantities.items()
-        if (error := result.estimate.get(name)) and error > WIDE * abs(value) > 0
+        if (error := result.estimate.get(name)) and error > max(WIDE * abs(value), SMALL)
     ]
+    for name, values in result.in_plane.items():
+        (r, value), (other, changed) = values.items()
+        if result.estimate.get(name) and abs(value - changed) > result.estimate[name]:
+            found.append(
+                f"{spoken(name)} depends on in_plane_bending (assumed): {value:.4g} with {r}, "
+                f"{changed:.4g} with {other}"
+            )
     areas = result.blank.areas / result.blank.areas.sum()
     for reason, flag in result.sheet.doubts().items():
         if reason in LIMITED and (share := areas @ flag) >= SHARE:
-            words = LIMITED[reason].format(range=result.model.sheet.fabric.shear_range)
+            shown, known = RESOLVED * result.blank.size, result.model.sheet.fabric.shear_range
+            words = LIMITED[reason].format(range=known, shown=shown)
             found.append(f"{100 * share:.0f} % of the area is {words}")
     if many := one_of_many(result):
         found.append(f"one of many states: {many}")

@@ -11,33 +11,60 @@ from .measures import nodal
 from .outcome import Outcome
 
 FloatArray = np.ndarray
+SAFETY = 1.25
 
 
-def judged(result: Outcome, coarser: Sequence[Outcome]) -> Outcome:
-    """Return a result with the error of its mesh, from the same model on coarser meshes.
+def judged(result: Outcome, coarser: Sequence[Outcome], finer: Outcome | None = None) -> Outcome:
+    """Return a result with the error of its mesh, from the same model on other meshes.
 
-    The coarsest comes first, each is of twice the size of the next. It stays without an estimate
-    where the coarse model is another one (a user has added terms or changed the travel) or stopped
-    early, or where one of the two has collapsed.
+    The coarsest comes first. The end on a finer mesh is the better witness where there is one. It
+    stays without an estimate where the other model is another one (a user has added terms or
+    changed the travel) or stopped early, or where one of the two has collapsed. What the end
+    depends on the mesh of the path (`path_gap`) is part of the estimate.
     """
     levels = [result]
     for coarse in reversed(coarser):
         if not _comparable(result, coarse):
             break
         levels.append(coarse)
+    if finer is not None and not (finer.reason or finer.collapse):
+        levels = [finer, *levels]
     if len(levels) < 2 or result.reason or result.collapse:
         return result
-    values = [level.quantities for level in levels]
+    sizes, values = [level.model.size for level in levels], [level.quantities for level in levels]
+    own = levels.index(result)
     estimate = {
-        name: float(discretisation_error([v[name] for v in values]))
+        name: float(discretisation_error([v[name] for v in values], sizes, own))
+        + result.path_gap.get(name, 0.0)
         for name in values[0]
         if all(name in v for v in values)
     }
     blank = result.blank
-    fields = [nodal(blank, result.shear_angle)]
-    fields += [level.shear_angle_at(blank.nodes) for level in levels[1:]]
-    error = discretisation_error(fields)[blank.triangles].mean(1)
-    return replace(result, estimate=estimate, shear_angle_error=error)
+    fields = [level.shear_angle_at(blank.nodes) for level in levels]
+    fields[own] = nodal(blank, result.shear_angle)
+    error = discretisation_error(fields, sizes, own)[blank.triangles].mean(1)
+    return replace(
+        result,
+        estimate=estimate,
+        shear_angle_error=error,
+        force_errors=_force_errors(result, levels, estimate[result.model.force_name]),
+    )
+
+
+def _force_errors(result: Outcome, levels: Sequence[Outcome], end: float) -> FloatArray | None:
+    """(n_rows,) error of the force in each row of the history, N; None without a coarser path."""
+    path = result.path or result
+    along = [path, *(level for level in levels if level.model.size > path.model.size)]
+    if len(along) < 2:
+        return None
+    travel = [run.states[i].travel for run, i in result.followed]
+    forces = [
+        np.interp(travel, [s.travel for s in run.states], [s.force for s in run.states])
+        for run in along
+    ]
+    error = discretisation_error(forces, [run.model.size for run in along])
+    error[-1] = end
+    return error
 
 
 def _comparable(fine: Outcome, coarse: Outcome) -> bool:
@@ -53,26 +80,49 @@ def _comparable(fine: Outcome, coarse: Outcome) -> bool:
     )
 
 
-def discretisation_error(values: Sequence[FloatArray | float]) -> FloatArray | float:
-    """Error of the mesh from the same quantity on meshes that double in size, finest first.
+def discretisation_error(
+    values: Sequence[FloatArray | float], sizes: Sequence[float], own: int = 0
+) -> FloatArray | float:
+    """Error of the mesh from the same quantity on meshes of ascending sizes, the finest first.
 
-    The differences between the levels are continued by the ratio r of the last two, over three
-    more halvings: error = 5/4 d (r + r² + r³), with the safety factor of the grid convergence
-    index [1]_. r is kept between a quarter (second order) and two: where a boundary layer is not
-    resolved yet, differences grow for a while. Where two levels happen to agree, the quarter of the
-    difference before is used. Two levels alone have no ratio: the error is twice their
-    difference.
+    `values` holds at least two numbers or (n,) arrays; the error is that of number `own`, 0 or 1.
 
-    `values` holds at least two numbers or (n,) arrays.
+    With one mesh that is finer, of half the size, the difference d to it shows the error:
+    5/4 d (1 + r + r²), with the safety factor of the grid convergence index [1]_ and the factor r
+    by which differences fall when the size is halved. r follows from the difference d' to the next
+    coarser mesh: for the order p and its ratio of sizes ρ, d/d' = (1 - 2⁻ᵖ)/(ρᵖ - 1) and r = 2⁻ᵖ,
+    with p between zero (where a boundary layer is not resolved yet, differences do not fall for a
+    while) and two. Where two meshes happen to agree, a quarter of what d' says at second order,
+    d'/(ρ² - 1), is used.
+
+    Without one, the difference d of the two finest is continued by the factor r = d/d' by which it
+    fell from the one before, over three more halvings of the mesh: error = 5/4 d (r + r² + ...).
+    d' is that of the second mesh to the one nearest to ρ times its size. r is at least 1/ρ² (second
+    order) and at most one: where a boundary layer is not resolved yet, differences do not fall for
+    a while. Where two meshes happen to agree, d'/ρ² is used. Two meshes alone have no r:
+    5/4 d/(ρ - 1).
 
     References
     ----------
     .. [1] P. J. Roache, Journal of Fluids Engineering 116 (1994) 405-413.
     """
-    last = np.abs(np.subtract(values[0], values[1]))
+    steps = np.abs(np.diff(np.stack([np.asarray(v) for v in values]), axis=0))
+    ratios = np.divide(sizes[1:], sizes[:-1])
+    if own:
+        last, r = steps[0], 0.5
+        if len(steps) > own:
+            before, ratio = np.maximum(steps[own], 1e-300), ratios[own]
+            p = np.linspace(2.0, 1e-3, 50)
+            r = np.interp(last / before, (1 - 0.5**p) / (ratio**p - 1), 0.5**p)
+            last = np.maximum(last, before / (ratio**2 - 1) / 4)
+        return (SAFETY * last * (1 + r + r**2))[()]
+    last, ratio = steps[0], ratios[0]
     if len(values) == 2:
-        return 2.0 * last
-    before = np.abs(np.subtract(values[1], values[2]))
-    last = np.maximum(last, before / 4)
-    r = np.clip(np.divide(last, before, out=np.ones_like(last), where=before > 0), 0.25, 2.0)
-    return (1.25 * last * (r + r**2 + r**3))[()]
+        return (SAFETY * last / (ratio - 1.0))[()]
+    third = 2 + int(np.argmin(np.abs(np.log(np.array(sizes[2:]) / (ratio * sizes[1])))))
+    before = np.abs(np.subtract(values[1], values[third]))
+    lowest = ratio**-2.0
+    last = np.maximum(last, before * lowest)
+    r = np.clip(np.divide(last, before, out=np.ones_like(last), where=before > 0), lowest, 1.0)
+    count = max(round(np.log(8.0) / np.log(ratio)), 1)
+    return (SAFETY * last * sum(r**k for k in range(1, count + 1)))[()]

@@ -9,13 +9,14 @@ import numpy as np
 
 from ..energy.bending import Bending
 from ..energy.contact import LEVER, moment
-from ..energy.membrane import Membrane
 from ..model import COLLAPSE, Model
 from ..net.blank import Blank
 from .sheet import DOUBTS, FormedSheet
+from .stability import buckle, local_waves, shear_stability
 
 FloatArray = np.ndarray
-LIFTED = 0.1  # of the thickness: a flange that is lifted further has wrinkled
+LEAST_FORCE = 0.05  # of a contact force: a radius with less on it does not count
+LIFTED = 0.1  # of the thickness: a sheet that is lifted or buckles further has wrinkled
 SLIP_GRADIENT = 2.4
 """Shear gradient at which rovings may slip, degrees/mm: in the 45° off-axis tension test the paper
 saw slippage from u = 30 mm on, where the shear jumps by 12° between zones; over a width of 5 mm
@@ -33,19 +34,6 @@ def percentile(values: FloatArray, areas: FloatArray, share: float) -> float:
     order = np.argsort(values)
     below = np.cumsum(areas[order])
     return float(values[order][np.searchsorted(below, share * below[-1])])
-
-
-def shear_stability(membrane: Membrane, x: FloatArray) -> FloatArray:
-    """(n_triangles,) stiffness against a local turn of the fibres, MPa; negative: unstable.
-
-    With the tension S_aa along a family, S_aa + W6'' (I8 - I6²/I4) > 0, and the same for the other
-    family: the ellipticity of the law for a rotation of the fibres. Softening shear makes bands
-    where it fails.
-    """
-    I4, I6, I8 = membrane.invariants(x)
-    S = membrane.stress(x)
-    W2 = membrane.fabric.shear.stiffness(I6)
-    return np.minimum(S[:, 0, 0] + W2 * (I8 - I6**2 / I4), S[:, 1, 1] + W2 * (I4 - I6**2 / I8))
 
 
 def nodal(blank: Blank, values: FloatArray) -> FloatArray:
@@ -105,7 +93,7 @@ def formed(
     warp, weft = bare.fibres(np.array([blank.warp, blank.weft]))
     doubts = {
         "beyond_identified_range": np.abs(gamma) > sheet.fabric.shear_range,
-        "unstable_in_shear": stability < 0,
+        **local_waves(model, x)[0],
         "collapsed": np.abs(gamma) > np.degrees(COLLAPSE),
         "rovings_may_slip": shear_gradient(blank, np.abs(gamma)) > SLIP_GRADIENT,
     }
@@ -144,12 +132,13 @@ def flange_lift(model: Model, x: FloatArray) -> float:
 def wrinkles(model: Model, x: FloatArray) -> dict[str, float | None]:
     """Largest curvature (1/mm), and of each family how many lines wave and how far apart (mm).
 
-    Off punch and die, at x (n_dofs,). Empty without bending.
+    Off punch and die, at x (n_dofs,). Empty without bending. Without contact also how far the sheet
+    has buckled, mm.
     """
     blank, source, *_ = model.sheet.whole
     found: dict[str, float | None] = {}
     for term in model.terms:
-        if not isinstance(term, Bending):
+        if not isinstance(term, Bending) or term.sheet.dim == 2:
             continue
         kappa = term.curvature(x)
         found["largest_curvature_1_per_mm"] = float(np.abs(kappa).max())
@@ -162,6 +151,8 @@ def wrinkles(model: Model, x: FloatArray) -> dict[str, float | None]:
             lines, wavelength = waves(blank.nodes, getattr(blank, family), at_nodes[source, f])
             found[f"waving_{family}_lines"] = lines
             found[f"{family}_wavelength_mm"] = wavelength
+        if not model.contacts:
+            found["buckle_mm"] = buckle(model, x)
     return found
 
 
@@ -170,14 +161,39 @@ def max_penetration(model: Model, x: FloatArray) -> float:
     return max([0.0, *(float(contact.penetration(x).max()) for contact in model.contacts)])
 
 
-def chord_penetration(model: Model, x: FloatArray) -> float:
-    """Deepest penetration at the middle of an element edge, mm: chords cut fillets."""
+def chord_penetration(model: Model, x: FloatArray, fibres: bool = False) -> float:
+    """Deepest penetration at the middle of an element edge, mm: chords cut fillets.
+
+    With `fibres` only at edges that are chords of a fibre; a diagonal carries none.
+    """
     deepest, half = 0.0, 0.5 * model.sheet.fabric.thickness
-    middles = model.sheet.positions(x)[model.sheet.blank.mesh.facets.T].mean(1)
+    blank = model.sheet.blank
+    if fibres and blank.pairs is None:
+        edges = np.vstack([blank.fibre_lines(family).t.T for family in ("warp", "weft")])
+    else:
+        edges = blank.mesh.facets.T
+    middles = model.sheet.positions(x)[edges].mean(1)
     for contact in model.contacts:
         y = contact.in_tool_frame(x, middles - contact.origin(x))
         deepest = max(deepest, half - float(contact.distance(y)[0].min()))
     return deepest
+
+
+def bent_radius(model: Model, x: FloatArray) -> float:
+    """Smallest radius that the sheet bends over, mm; inf if it touches flat faces only.
+
+    Of each tool, that with at least a twentieth of the contact force on it or on sharper ones:
+    facets of a surface file are no fillets.
+    """
+    sharpest = 0.0
+    for contact in model.contacts:
+        touching = contact.active(x)
+        if not touching.size:
+            continue
+        bend = np.linalg.norm(contact.at(x)[3][touching], 2, axis=(1, 2))
+        force = (contact.area * contact.pressure(x))[touching]
+        sharpest = max(sharpest, percentile(bend, force, 1 - LEAST_FORCE))
+    return 1.0 / sharpest - 0.5 * model.sheet.fabric.thickness if sharpest > 1e-9 else np.inf
 
 
 def resting_tools(

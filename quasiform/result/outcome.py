@@ -20,7 +20,10 @@ FloatArray = np.ndarray
 
 @dataclass(frozen=True)
 class State:
-    """One converged increment: travel, x, driving force of the whole (N), work so far, measures."""
+    """One converged increment: travel, x, driving force of the whole (N), work so far, measures.
+
+    Where a load factor is the travel, the force is the work of the load by it, mJ.
+    """
 
     travel: float
     x: FloatArray
@@ -47,15 +50,23 @@ class Outcome:
     stabilisation: float = 0.0
     snaps: list[dict[str, float]] = field(default_factory=list)
     collapse: dict[str, Any] | None = None
-    estimate: dict[str, float | None] = field(
-        default_factory=lambda: {"shear_angle_deg": None, "force_N": None}
-    )
+    estimate: dict[str, float | None] = field(default_factory=dict)
+    energy: float = 0.0
+    lower: float = 0.0
+    path_gap: dict[str, float] = field(default_factory=dict)
+    in_plane: dict[str, dict[str, float]] = field(default_factory=dict)
     shear_angle_error: FloatArray | None = None
+    force_errors: FloatArray | None = None
     spread: dict[str, dict[str, float | bool]] = field(default_factory=dict)
     path: Outcome | None = None
+    last: FloatArray | None = None
     factorisations: dict[str, int] = field(default_factory=dict)
     memory: tuple[Any, ...] = ()
     notes: list[tuple[str, str]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        if not self.estimate:
+            self.estimate = {"shear_angle_deg": None, self.model.force_name: None}
 
     def add_work(self, other: Outcome, failed: int = 0) -> None:
         """Add the factorisations of another run, and of a failed try on this mesh."""
@@ -76,7 +87,7 @@ class Outcome:
 
     @property
     def force(self) -> float:
-        """Driving force (punch or grip) at the end, N."""
+        """Driving force (punch or grip) at the end, N, or work of a load by its factor, mJ."""
         return self.states[-1].force
 
     @property
@@ -101,10 +112,15 @@ class Outcome:
     def history(self) -> dict[str, FloatArray]:
         """Columns by name, one row an increment; `pandas.DataFrame(result.history)` takes it."""
         travel, rows = self.model.travel_name, [run.states[i] for run, i in self.followed]
-        columns = {travel: [s.travel for s in rows], "force_N": [s.force for s in rows]}
+        columns = {travel: [s.travel for s in rows]}
+        columns[self.model.force_name] = [s.force for s in rows]
         for name in self.model.measures:
             columns[name] = [s.measures[name] for s in rows]
         columns["linear_solves"] = [s.linear_solves for s in rows]
+        if self.force_errors is not None:
+            columns[f"force_error_{self.model.force_name.rpartition('_')[2]}"] = list(
+                self.force_errors
+            )
         if self.path is not None:
             columns["size_mm"] = [*[self.path.model.size] * (len(rows) - 1), self.model.size]
         return {name: np.array(values) for name, values in columns.items()}
@@ -173,7 +189,7 @@ class Outcome:
         gamma, areas = np.abs(self.shear_angle), self.blank.areas
         found = {
             "shear_angle_deg": measures.percentile(gamma, areas, 0.99),
-            "force_N": self.force,
+            self.model.force_name: self.force,
             "shear_angle_mean_deg": float(areas @ gamma / areas.sum()),
         }
         found |= {f"area_{name}_deg": value for name, value in self.areas.items() if value}

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..checks import FORMAT, InputError, naming
+from ..checks import FORMAT, InputError, force_column, naming
 from .sheet import FormedSheet, read_sheets
 
 if TYPE_CHECKING:
@@ -150,12 +150,23 @@ class Record:
         return next(iter(self.history), "travel_mm")
 
     @property
+    def forces(self) -> FloatArray | None:
+        """Driving forces of the history, N, or mJ by a load factor; None without them."""
+        # those of version 0.1.0 are called force_N by a load factor too
+        found = (self.history.get(name) for name in (force_column(self.travel_name), "force_N"))
+        return next((column for column in found if column is not None), None)
+
+    @property
+    def force_unit(self) -> str:
+        """N, or mJ where a load factor is the travel."""
+        return force_column(self.travel_name).rpartition("_")[2]
+
+    @property
     def force(self) -> float:
-        """Driving force at its last sheet, N, interpolated in the history; nan without one."""
-        if "force_N" not in self.history:
+        """Driving force at its last sheet, interpolated in the history; nan without one."""
+        if self.forces is None:
             return np.nan
-        travel = self.history[self.travel_name]
-        return float(np.interp(self.travel, travel, self.history["force_N"]))
+        return float(np.interp(self.travel, self.history[self.travel_name], self.forces))
 
     @property
     def at_end(self) -> bool:

@@ -52,16 +52,27 @@ class Result(Outcome):
         open balance of that increment: from_mm, to_mm, released_mJ.
     collapse : dict or None
         Where and when a triangle first passed 85 degrees or turned over.
+    energy, lower : float
+        Stored at the end, and how much less the lowest state of perturbed starts has, mJ.
+    path_gap : dict
+        What each of the `quantities` hangs on the mesh of the path; part of the estimate. Empty
+        where the path was followed on this mesh.
     estimate : dict
         Error of the mesh of each of the `quantities`, above all `shear_angle_deg` (of the 99th
-        percentile) and `force_N`, from coarser meshes (`estimate.discretisation_error`); None if
-        not estimated.
+        percentile) and `force_N` (`load_work_mJ` by a load factor), from other meshes
+        (`estimate.discretisation_error`); None if not estimated.
+    in_plane : dict of quantity to dict
+        Its values with two numbers for the in-plane bending, on a coarse mesh; empty if unknown.
     shear_angle_error : (n_triangles,) array or None
         The same of the shear angle, degrees.
+    force_errors : (n_rows,) array or None
+        The same of the force in each row of the history, N.
     spread : dict
         Scatter of the `quantities` over perturbed starts, where it was asked for (`solve.spread`).
     path : Result or None
         Where only the end was solved on this mesh: the way there on a coarser one.
+    last : (n_dofs,) array or None
+        Motion over the last increment, where only the end was solved on this mesh, mm.
     factorisations : dict of mesh to count
         Numeric factorisations by mesh, such as {"10 mm": 295, "5 mm": 27}.
     memory : tuple
@@ -75,7 +86,7 @@ class Result(Outcome):
         return (
             f"<Result {self.model.name}: {self.status} at {end.travel:.4g} of "
             f"{self.model.travel:.4g}, {len(self.model.sheet.blank.triangles)} triangles, "
-            f"{end.force:.4g} N>"
+            f"{end.force:.4g} {self.model.force_name.rpartition('_')[2]}>"
         )
 
     @property
@@ -94,18 +105,18 @@ class Result(Outcome):
         `pandas.DataFrame(result.table())` takes it.
         """
         found = self.quantities
-        units = {"deg": "°", "N": "N", "mm": "mm"}
         return {
             "quantity": list(found),
             "value": list(found.values()),
             "estimated_error": [self.estimate.get(name) for name in found],
-            "unit": [units[name.rpartition("_")[2]] for name in found],
+            "unit": [name.rpartition("_")[2].replace("deg", "°") for name in found],
         }
 
-    def judge(self, coarser: list[Result]) -> None:
-        """Estimate the error of the mesh from coarser results, as `estimate.judged` does."""
-        better = judged(self, coarser)
+    def judge(self, coarser: list[Result], finer: Result | None = None) -> None:
+        """Estimate the error of the mesh from results on others, as `estimate.judged` does."""
+        better = judged(self, coarser, finer)
         self.estimate, self.shear_angle_error = better.estimate, better.shear_angle_error
+        self.force_errors = better.force_errors
 
     def summary(self) -> dict[str, Any]:
         """Contents of `summary.json`."""

@@ -33,8 +33,14 @@ FLAT = 1e-3  # of its size: how far an undeformed sheet may leave its plane
 KINDS = (".vtu", ".vtk", ".xdmf", ".xmf")
 CORNERS = {"triangle": 3, "triangle6": 3, "triangle7": 3, "quad": 4, "quad8": 4, "quad9": 4}
 SPLIT = {3: [[0, 1, 2]], 4: [[0, 1, 2], [0, 2, 3]]}
-DOUBTS = ("beyond_identified_range", "unstable_in_shear", "collapsed", "rovings_may_slip")
-"""Why the shear angle of a triangle may be wrong; the cell field `doubt` adds 1, 2, 4, 8."""
+DOUBTS = (
+    "beyond_identified_range",
+    "bands_may_form",
+    "collapsed",
+    "rovings_may_slip",
+    "fibres_may_buckle",
+)
+"""Why the shear angle of a triangle may be wrong; the cell field `doubt` adds 1, 2, 4, 8, 16."""
 
 
 @dataclass(frozen=True, eq=False)

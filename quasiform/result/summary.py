@@ -8,9 +8,11 @@ from typing import Any
 import numpy as np
 
 from ..checks import FORMAT
+from .assumed import assumed
 from .certificate import Certificate, one_of_many, trust
 from .measures import chord_penetration, max_penetration, percentile
 from .outcome import Outcome
+from .stability import local_waves
 
 
 def summarise(result: Outcome, certificate: Certificate) -> dict[str, Any]:
@@ -36,13 +38,15 @@ def summarise(result: Outcome, certificate: Certificate) -> dict[str, Any]:
         "triangles": len(model.sheet.blank.triangles),
         "dofs": int((~model.fixed).sum()),
         "model": [f"{entry}: {why}" for entry, why in result.description],
-        "force_N": result.force,
+        model.force_name: result.force,
         "shear_angle_deg": {
             "max": float(gamma.max()),
             "p99": percentile(gamma, areas, 0.99),
             "mean": float(areas @ gamma / areas.sum()),
         },
-        "error_estimate": {name: result.estimate[name] for name in ("shear_angle_deg", "force_N")},
+        "assumed": assumed(model),
+        "error_estimate": {n: result.estimate.get(n) for n in ("shear_angle_deg", model.force_name)}
+        | path_errors(result),
         "estimated_errors": result.estimate,
         "equilibrium": {
             "residual_relative": result.residual,
@@ -62,10 +66,18 @@ def summarise(result: Outcome, certificate: Certificate) -> dict[str, Any]:
         "doubtful_share": {
             reason: float(areas @ flag / areas.sum()) for reason, flag in sheet.doubts().items()
         },
+        "local_stability": local_waves(model, result.states[-1].x)[1],
     }
     if model.contacts:
         summary |= _between_tools(result)
     return _finite(summary)
+
+
+def path_errors(result: Outcome) -> dict[str, float | None]:
+    """What p99 and force hang on the mesh of the path: 0 if it is this one, None if unknown."""
+    force = result.model.force_name
+    names = {"path_deg": "shear_angle_deg", f"path_{force.rpartition('_')[2]}": force}
+    return {key: result.path_gap.get(name) if result.path else 0.0 for key, name in names.items()}
 
 
 def _between_tools(result: Outcome) -> dict[str, Any]:

@@ -13,8 +13,9 @@ import numpy as np
 import shapely
 
 from ..checks import InputError, check_number
-from ..energy.bending import Bending
+from ..energy.bending import Bending, PatchBending
 from ..energy.membrane import Membrane, membrane_of
+from ..energy.term import Term
 from ..energy.weight import SheetWeight
 from ..fabric import Fabric, fabric_of
 from ..model import Model
@@ -105,12 +106,16 @@ def strip_under_tension(
 
     numbers = {name: given[name] for name in ("length", "width", "displacement")}
     identity = {"angle": angle, "law": fabric.name, "fabric": asdict(fabric)}
-    free = "held flat; fibres curve freely in the plane, as in the paper's model"
+    terms, share = [membrane], fabric.in_plane_bending
+    bending = ("bending left out", "held flat, and in_plane_bending is 0")
+    if share:
+        terms.append(Bending(sheet) if blank.pairs is None else PatchBending(sheet))
+        bending = ("bending of warp and weft lines in the plane", f"in_plane_bending is {share:g}")
     return _plane(
         f"oat-{angle:g}",
         unknowns,
         sheet,
-        membrane,
+        terms,
         fixed=left | right,
         drive=drive,
         travel=float(given["displacement"]),
@@ -123,7 +128,7 @@ def strip_under_tension(
         },
         description=[
             ("plane problem", "no tools and no load out of the plane: two dofs a node, held flat"),
-            ("bending left out", free),
+            bending,
             ("contact and friction left out", "no tools"),
             ("weight left out", "acts out of the plane"),
             *([PAIRED] if blank.pairs is not None else []),
@@ -133,12 +138,12 @@ def strip_under_tension(
 
 
 def _plane(
-    name: str, unknowns: Unknowns, sheet: Sheet, membrane: Membrane, fixed: np.ndarray, **given: Any
+    name: str, unknowns: Unknowns, sheet: Sheet, terms: list[Term], fixed: np.ndarray, **given: Any
 ) -> Model:
     """Model of a plane test whose sheet is flat, with `fixed` (n_nodes,) bool nodes."""
     x0, fixed = sheet.blank.nodes.ravel().copy(), np.repeat(fixed, 2)
     given |= {"increment": 5.0, "rows": 5.0}
-    return Model(name, unknowns, [sheet], [membrane], x0, fixed, **given)
+    return Model(name, unknowns, [sheet], terms, x0, fixed, **given)
 
 
 def _check(**numbers: float) -> None:
@@ -234,7 +239,7 @@ def sheet_in_frame(
         "picture-frame",
         unknowns,
         sheet,
-        Membrane(sheet),
+        [Membrane(sheet)],
         fixed=rim,
         drive=frame,
         travel=2.0 * side * cos(np.pi / 4 - gamma / 2) - np.sqrt(2.0) * side,

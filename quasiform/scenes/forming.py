@@ -18,7 +18,7 @@ import shapely
 
 from ..checks import InputError, check_number
 from ..energy.bending import Bending, PatchBending
-from ..energy.contact import Contact, at_edges, at_nodes, surrounds
+from ..energy.contact import Contact, at_edges, surrounds
 from ..energy.friction import Friction
 from ..energy.membrane import membrane_of
 from ..energy.term import Term
@@ -38,7 +38,8 @@ from .room import check_clearance, mirror_planes
 from .scene_file import SceneFile, SurfaceFile, ToolPart
 from .supports import fix_supports, grips, keep_middle
 
-SIZE = 5.0  # mm, the default
+SIZE, LEAST = 5.0, 2.5  # mm, the default, and how fine it may be for the sake of a fillet
+FINE = 0.4  # of the smallest fillet: the mesh of the path
 FACTOR = "load factor of the weight"
 
 
@@ -62,7 +63,8 @@ def forming(
         Angle of the warp to x, degrees; outline and tools stay.
     law : str or Fabric, optional
     size : float, optional
-        Spacing of the fibre lines, mm; by default that of the file, or 5.
+        Spacing of the fibre lines, mm; by default that of the file, or 5, or finer (to 2.5) where
+        the path needs it: 0.4 of the smallest fillet.
     travel : float, optional
         Travel of the punch from first touch, mm; at most the file's own.
     symmetry : "auto", "half" or "none", optional
@@ -81,8 +83,8 @@ def forming(
     name = scene.name if isinstance(scene, SceneFile) else str(scene)
     file = scene if isinstance(scene, SceneFile) else scene_file.load(name)
     fabric = fabric_of(law or file.law)
-    size = next(value for value in (size, file.size, SIZE) if value is not None)
-    check_number("size", size)
+    size = file.size if size is None else size
+    check_number("size", SIZE if size is None else size)
     orientation = file.orientation if orientation is None else orientation
     if not isinstance(orientation, Real) or not np.isfinite(orientation):
         raise InputError(f"orientation must be a number of degrees, got {orientation!r}")
@@ -97,7 +99,12 @@ def forming(
             "forming in space needs a bending stiffness: bending_warp or _weft is zero"
         )
     given = {"orientation": float(orientation), "travel": goal, "symmetry": symmetry}
-    return built(formed_between_tools, size, file=file, name=name, fabric=fabric, **given)
+    given |= {"file": file, "name": name, "fabric": fabric}
+    model = built(formed_between_tools, SIZE if size is None else size, **given)
+    if size is None and 0 < model.coarsest < SIZE and not isinstance(file.mesh, Path):
+        size = max(model.coarsest, LEAST)
+        model = replace(model.recipe, size=size).build(like=model)
+    return model
 
 
 def formed_between_tools(
@@ -151,7 +158,7 @@ def formed_between_tools(
         areas=dict(file.areas),
         outputs=file.outputs,
         tools=(tools, from_files),
-        coarsest=min((getattr(tool.shape, "sharpest", 0.0) for tool in tools), default=0.0),
+        coarsest=FINE * min((getattr(tool.shape, "sharpest", 0.0) for tool in tools), default=0.0),
     )
     _assemble(model, file, tools_in_frame, outline)
     _measure(model)
@@ -208,8 +215,7 @@ def _assemble(model: Model, file: SceneFile, tools: list[Tool], outline: shapely
     """Put energies and supports into a model."""
     sheet = model.sheet
     blank, fabric = sheet.blank, sheet.fabric
-    points = at_nodes(blank)
-    contacts = [Contact(sheet, tool, model.unknowns[tool.name].dofs, points) for tool in tools]
+    contacts = [Contact(sheet, tool, model.unknowns[tool.name].dofs) for tool in tools]
     weights: list[Term] = _rest(model, contacts)
     for contact in contacts:
         if (contact.penetration(model.x0) > fabric.thickness).any():

@@ -9,9 +9,9 @@ from importlib import import_module
 from types import ModuleType
 from typing import Any
 
-from .increments import Progress, solve
+from .increments import Progress
 from .journal import Journal
-from .levels import refine
+from .levels import refine, solve
 from .scatter import spread
 
 __all__ = ["Journal", "Progress", "refine", "solve", "spread"]

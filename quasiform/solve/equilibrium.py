@@ -9,14 +9,18 @@ from typing import Any
 
 import numpy as np
 
+from ..energy.friction import Friction
 from ..energy.term import Term, check_term
 from ..model import Model
 from ..potential import Memory, Potential
 from ..unknowns import FloatArray
-from .linear import NotConvergedError
+from .linear import NotConvergedError, SlidesOffError
 from .tangent import Tangent
 
 LEAST_FORCE = 1e-6  # N: what a driving force counts for where a tool has not touched yet
+HOLDING = 0.1  # of the tolerance where friction holds a dead load
+LEFT_OVER = 2e-2  # residual that lagged values may leave to the next increment
+DRAWN = 3.0  # slide along a tool by the motion that drives it
 LOOSER = 30.0  # tolerance on the way where lagged values have to settle, relative to the end's
 
 
@@ -30,9 +34,9 @@ class Equilibrium:
     convex: str = "on demand"  # or "always", "never": when that takes the exact one's place
     max_iterations: int = 400  # of Newton's method in one solve
     travel: float = 0.0  # where the prescribed unknowns are
-    left_over: float = 2e-2  # residual that lagged values may leave to the next increment
     continued: int = 0  # how often they did
     relaxed: int = 0  # iterations of dynamic relaxation so far
+    driven: float = np.inf  # mm: longest prescribed motion of a node or a tool in this increment
     memory: Memory = field(init=False)
     foreseen: FloatArray | None = field(init=False, default=None)  # stress, by the last prediction
 
@@ -49,6 +53,16 @@ class Equilibrium:
     @property
     def remembers(self) -> bool:
         return any(state is not None for state in self.memory)
+
+    @property
+    def loaded(self) -> bool:
+        """Whether loads alone drive this increment, against friction."""
+        return not self.driven and bool(self.model.frictions)
+
+    @property
+    def left_over(self) -> float:
+        """Residual that lagged values may leave to the next increment."""
+        return 0.0 if self.at_end or self.model.dead_load else LEFT_OVER
 
     def take(self, memory: Memory) -> None:
         """Take over states of the terms, and their stencils where these have changed."""
@@ -68,6 +82,28 @@ class Equilibrium:
         if self.remembers:
             self.take(memory)
             self.certify(x)
+
+    def begin(self, x: FloatArray, travel: float) -> None:
+        """Begin an increment from x to `travel`, by which `check_slide` judges."""
+        moved = self.model.unknowns.at_nodes()
+        moved[[int(contact.tool_dofs[0]) for contact in self.model.contacts]] = True
+        self.driven = float(np.abs(self.motion_to(x, travel)[moved]).max(initial=0.0))
+
+    def check_slide(self, x: FloatArray) -> None:
+        """Raise SlidesOffError where a point has slid along a tool farther than the motion drives.
+
+        A mesh size is allowed beyond that. A sheet that is clamped on one side and drawn over a
+        punch slides along it by up to three times the punch's motion.
+        """
+        most = self.mesh_size + DRAWN * self.driven
+        for term, state in zip(self.model.terms, self.memory, strict=False):
+            if isinstance(term, Friction) and term.slide(x, state) > most:
+                raise SlidesOffError("slides off: friction cannot hold it")
+
+    def stick(self) -> None:
+        """Let no point slip until lagged values are taken anew."""
+        states = zip(self.model.terms, self.memory, strict=True)
+        self.take(tuple(t.stuck(s) if isinstance(t, Friction) else s for t, s in states))
 
     def lagged(self) -> FloatArray:
         """All lagged values that a fixed point is sought for, after a zero."""
@@ -132,7 +168,12 @@ class Equilibrium:
 
     @property
     def goal(self) -> float:
-        """Residual that is asked for: on the way a looser one where lagged values settle."""
+        """Residual that is asked for: on the way a looser one where lagged values settle.
+
+        Where friction alone holds a dead load, what the residual leaves out lets a sheet creep.
+        """
+        if self.mixed and self.model.dead_load:
+            return self.tolerance * HOLDING * max(self.travel / self.model.travel, HOLDING)
         return self.tolerance * (1.0 if self.at_end or not self.mixed else LOOSER)
 
     def worst(self, g: FloatArray) -> str:

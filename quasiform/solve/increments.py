@@ -9,8 +9,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -26,11 +24,6 @@ SHORTEST = 1 / 64  # of the largest increment
 SHORTEST_RELAXED = 1 / 8  # the same of dynamic relaxation alone, which gains little by it
 CREEPING = 1 / 4  # of the largest increment: from there on down proximal steps are tried
 MOST_INCREMENTS = 10_000
-CHANGED = (
-    "error of the mesh not estimated",
-    "the model was changed by hand, or has no recipe (Model.including makes a change part of it)",
-)
-
 Callback = Callable[["Progress"], bool | str | None]
 
 
@@ -43,7 +36,8 @@ class Progress:
     travel, goal : float
         Where the run is and where it ends, mm (or the load factor).
     residual, force : float
-        Sum of the nodal residuals relative to the driving force; that of the whole, N.
+        Sum of the nodal residuals relative to the driving force; that of the whole, N (by a load
+        factor the work of the load, mJ).
     contacts, linear_solves : int
         Points of the sheet that touch a tool; factorisations so far.
     elapsed : float
@@ -66,101 +60,6 @@ def report(callback: Callback | None, stage: str) -> None:
     """Report what follows the travel to a callback that has a method `stage`."""
     if hasattr(callback, "stage"):
         callback.stage(stage)
-
-
-def solve(
-    model: Model,
-    callback: Callback | None = None,
-    increment: float | None = None,
-    method: Literal["newton", "relaxation"] = "newton",
-    linear: str = "auto",
-    tolerance: float = 1e-4,
-    convex: Literal["on demand", "always", "never"] = "on demand",
-    estimate: bool = True,
-    perturbation: float = 0.0,
-    seed: int = 0,
-    out: str | Path | Journal | None = None,
-    resume: bool = False,
-) -> Result:
-    """Follow the travel of a model to its end.
-
-    Parameters
-    ----------
-    model : Model
-    callback : callable, optional
-        Called with the `Progress` after each increment. It stops the run there by returning True,
-        or the reason as a text. What it changes of the model's terms counts from the next
-        increment on.
-        If it has a method `stage`, that is called with a text on what follows the travel.
-    increment : float, optional
-        Size of the increments in units of the travel; the model's own choice if not given.
-        A history row is kept for each; else rows fall on the model's round values.
-    method : "newton" or "relaxation"
-        "relaxation" solves every increment by dynamic relaxation alone.
-    linear : str
-        Linear solver: "auto", "pardiso" or "superlu".
-    tolerance : float
-        Sum of the nodal residuals relative to the driving force.
-    convex : "on demand", "always" or "never"
-        When the convex tangent takes the place of the exact one.
-    estimate : bool
-        Solve the model on meshes twice and, where its tools allow, four times as coarse too; the
-        differences are the error estimate.
-    perturbation : float
-        Noise on every node at the start of every increment's solve, mm (standard deviation): what
-        changes with it is one of several states.
-    seed : int
-        Of the noise.
-    out : path or Journal, optional
-        Folder in which the run is recorded increment by increment; a run that was killed is
-        continued from there.
-    resume : bool
-        Continue the run of this model in `out`.
-
-    Returns
-    -------
-    Result
-        With `status` "completed", or "stopped" and the `reason`.
-
-    Raises
-    ------
-    InputError
-        For a bad setting, for a folder that cannot be written or holds a result already, and with
-        `resume` for one that holds no such run.
-    """
-    settings = Settings(increment, method, linear, tolerance, convex, perturbation, seed)
-    if resume and (out is None or isinstance(out, Journal)):
-        raise InputError("resume needs the folder of a run as `out`")
-    journal = out if isinstance(out, Journal) or out is None else Journal(out, resume=resume)
-    result = follow(model, settings, callback, journal)
-    if estimate and not result.reason:
-        if model.changed:
-            result.notes.append(CHANGED)
-        else:
-            judge(result, settings, callback, 2 * model.size, 4 * model.size)
-    if journal:
-        journal.close(result)
-    return result
-
-
-def judge(result: Result, settings: Settings, callback: Callback | None, *sizes: float) -> None:
-    """Judge a result by the same model on coarser meshes, as far as its tools allow."""
-    model, coarser = result.model, list[Result]()
-    try:
-        for size in sizes:
-            if size > model.coarsest and coarser:
-                break
-            report(callback, f"error of the mesh: the same at {size:g} mm")
-            coarse = follow(model.recipe.build(size, like=model), settings, partial=False)
-            result.add_work(coarse)
-            coarser.insert(0, coarse)
-            if coarse.reason:
-                break
-    except InputError:  # too coarse to be built: the result stands with what there is
-        pass
-    except KeyboardInterrupt:
-        result.reason = "interrupted while the error of the mesh was estimated"
-    result.judge(coarser)
 
 
 def follow(

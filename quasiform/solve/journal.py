@@ -197,7 +197,7 @@ class Journal:
     def close(self, result: Result) -> None:
         """Write the result; where that cannot be done, this becomes its `reason`."""
         try:
-            with added(self.folder) as staging:
+            with added(self.folder, instead=() if self._rows else FILES) as staging:
                 result.write(staging)
             if result.model.outputs["pictures"]:
                 with added(self.folder) as staging:

@@ -1,39 +1,109 @@
-"""Mesh continuation: the path on a coarse mesh, its end carried to finer ones.
+"""Mesh continuation: the path on a mesh that resolves the fillets, its end carried to finer ones.
 
-With friction as mild as that of a fabric the end state hardly remembers the path, so that a coarse
-mesh may find the way. On each finer mesh only the end is solved. It starts from the unknowns of
-the coarser one, interpolated by cubics (Clough and Tocher) on the flat sheet. Each term with memory
-carries its state over itself: friction starts from the last increment of the path, so that every
-point presses in the direction in which it really slides.
+The path is followed on a mesh of at most half the smallest fillet: on a coarser one the punch force
+rises in stairs, one row of nodes after the other. On each finer mesh only the end is solved
+(`carry`).
 
-The meshes of a run need not be nested. Where the end is not found this way, as when a sheet buckles
-differently on a finer mesh, the path is followed there too, and the result says so.
+Friction remembers the path. How much the end depends on the mesh of the path is measured one level
+further up: an end that is carried to the mesh of the path, beside the path's own. It is part of the
+estimate (`path_gap`); where it is large, the path is followed on the finer mesh too. So it is where
+the end is not found, as when a sheet buckles differently on a finer mesh.
 """
 
 from __future__ import annotations
 
 import time
 from contextlib import suppress
+from math import ceil, log2
 from pathlib import Path
-
-import numpy as np
+from typing import Literal
 
 from ..checks import InputError, check_number
-from ..energy.term import Standing
 from ..model import Model
-from ..net.transfer import smoothly
-from ..potential import Memory
-from ..result.run import Result, State
-from ..unknowns import Field, FloatArray
-from .equilibrium import Equilibrium
-from .increments import CHANGED, Callback, follow, judge, report
+from ..result.run import Result
+from .carry import carry
+from .dependence import coarser_run, finer_end
+from .increments import Callback, follow, report
 from .journal import Journal
 from .linear import NotConvergedError
-from .run import Run, Settings
+from .run import Settings
 
-MOST = 100  # Newton iterations of one solve on a finer mesh, before the path is followed there
+GAP = 0.05  # of the force, and
+GAP_DEG = 1.0  # degrees of p99: a larger gap, and the path is followed on the finest mesh too
 FINEST = 16  # of the size asked for, when refining to an accuracy
-CARRIED = 5.0  # mm: length of the last increment that friction starts from, at least a row
+
+
+def solve(
+    model: Model,
+    callback: Callback | None = None,
+    increment: float | None = None,
+    method: Literal["newton", "relaxation"] = "newton",
+    linear: str = "auto",
+    tolerance: float = 1e-4,
+    convex: Literal["on demand", "always", "never"] = "on demand",
+    estimate: bool = True,
+    perturbation: float = 0.0,
+    seed: int = 0,
+    out: str | Path | Journal | None = None,
+    resume: bool = False,
+) -> Result:
+    """Follow the travel of a model to its end.
+
+    Parameters
+    ----------
+    model : Model
+    callback : callable, optional
+        Called with the `Progress` after each increment. It stops the run there by returning True,
+        or the reason as a text. What it changes of the model's terms counts from the next
+        increment on.
+        If it has a method `stage`, that is called with a text on what follows the travel.
+    increment : float, optional
+        Size of the increments in units of the travel; the model's own choice if not given.
+        A history row is kept for each; else rows fall on the model's round values.
+    method : "newton" or "relaxation"
+        "relaxation" solves every increment by dynamic relaxation alone.
+    linear : str
+        Linear solver: "auto", "pardiso" or "superlu".
+    tolerance : float
+        Sum of the nodal residuals relative to the driving force.
+    convex : "on demand", "always" or "never"
+        When the convex tangent takes the place of the exact one.
+    estimate : bool
+        Solve the model on a coarser mesh too, and its end on a finer one; the differences are the
+        error estimate. Also solve it with another in-plane bending (`Result.in_plane`).
+    perturbation : float
+        Noise on every node at the start of every increment's solve, mm (standard deviation): what
+        changes with it is one of several states.
+    seed : int
+        Of the noise.
+    out : path or Journal, optional
+        Folder in which the run is recorded increment by increment; a run that was killed is
+        continued from there.
+    resume : bool
+        Continue the run of this model in `out`.
+
+    Returns
+    -------
+    Result
+        With `status` "completed", or "stopped" and the `reason`.
+
+    Raises
+    ------
+    InputError
+        For a bad setting, for a folder that cannot be written or holds a result already, and with
+        `resume` for one that holds no such run.
+    """
+    settings = Settings(increment, method, linear, tolerance, convex, perturbation, seed)
+    if resume and (out is None or isinstance(out, Journal)):
+        raise InputError("resume needs the folder of a run as `out`")
+    journal = out if isinstance(out, Journal) or out is None else Journal(out, resume=resume)
+    result = follow(model, settings, callback, journal)
+    if estimate and not result.reason:
+        coarser = coarser_run(result, settings, callback)
+        result.judge(coarser, finer_end(result, settings, callback))
+    if journal:
+        journal.close(result)
+    return result
 
 
 def refine(
@@ -79,16 +149,29 @@ def refine(
     settings = Settings(increment, linear=linear, tolerance=tolerance)
     journal = out if isinstance(out, Journal) or out is None else Journal(out, resume=resume)
     clock -= journal.recorded.get("elapsed", 0.0) if journal else 0.0
-    if model.changed:
-        result = follow(model, settings, callback, journal)
-        result.notes.append(CHANGED)
-    else:
-        result = _refined(model, callback, accuracy, settings, journal)
+    result = _refined(model, callback, accuracy, settings, journal)
     _check_accuracy(result, accuracy)
     result.wall_s = time.perf_counter() - clock
     if journal:
         journal.close(result)
     return result
+
+
+def meshes(model: Model) -> list[Model]:
+    """Return the model on the mesh of its path, on those between, and on its own.
+
+    The path is worth a mesh of its own where that is coarser by √2 at least; each level is at most
+    twice as fine as the one before.
+    """
+    ratio = 1.0 if model.changed else model.coarsest / model.size
+    models = [model]
+    if ratio > 2**0.5 - 1e-6:
+        count = ceil(log2(ratio) - 1e-6)
+        with suppress(InputError):  # too coarse for the blank
+            for level in range(1, count + 1):
+                size = model.size * ratio ** (level / count)
+                models.insert(0, model.recipe.build(size, like=model))
+    return models
 
 
 def _refined(
@@ -100,7 +183,9 @@ def _refined(
 ) -> Result:
     """Level by level, with the estimate."""
     models = [model]
-    while 2 * models[0].size <= model.coarsest * (1 + 1e-9):  # worth following the path there
+    while not model.changed and 2 * models[0].size <= model.coarsest * (
+        1 + 1e-9
+    ):  # worth following the path there
         try:
             models.insert(0, model.recipe.build(2 * models[0].size, like=model))
         except InputError:  # too coarse for the blank
@@ -108,19 +193,14 @@ def _refined(
     if journal and len(models) > 1:
         journal.goal = f" on a mesh of {models[0].size:g} mm, the way to one of {model.size:g} mm"
     path = follow(models[0], settings, callback, journal)
-    levels, last = [path], _last_increment(path)
-    waiting = models[1:]
-    while not levels[-1].reason:
-        size = levels[-1].model.size / 2
-        if not waiting and size >= model.size / FINEST and _worth_refining(levels, accuracy):
-            with suppress(InputError):  # the user's own mesh has one size only
-                waiting = [model.recipe.build(size, like=model)]
-        if not waiting:
+    levels = [path]
+    coarser = [] if path.reason else coarser_run(path, settings, callback)
+    for finer in models[1:]:
+        if levels[-1].reason:
             break
-        finer = waiting.pop(0)
         report(callback, f"the end on a mesh of {finer.size:g} mm")
         try:
-            result, path, last = _carry(levels[-1], finer, last, path, callback, settings)
+            result = _end(levels[-1], finer, callback, settings)
         except KeyboardInterrupt:
             levels[-1].reason = f"interrupted on a mesh of {finer.size:g} mm"
             break
@@ -128,20 +208,70 @@ def _refined(
             levels[-1].reason = f"on a mesh of {finer.size:g} mm: {result.reason}"
             break
         levels.append(result)
-    result = levels[-1]
-    result.judge(levels[:-1])
-    if len(levels) == 1 and not result.reason:
-        judge(result, settings, callback, 2 * model.size)
+    remembers = any(state is not None for state in levels[-1].memory)
+    if levels[-1].path and coarser and remembers and not levels[-1].reason:
+        levels[-1] = _with_path_gap(coarser[0], levels[-1], settings, callback)
+    while True:
+        result = levels[-1]
+        if result is not path:
+            result.in_plane, result.notes = path.in_plane, path.notes
+        finer = finer_end(result, settings, callback)
+        result.judge([*coarser, *levels[:-1]], finer)
+        error = result.estimate["shear_angle_deg"]
+        if accuracy is None or error is None or finer is None or error <= accuracy:
+            return result
+        if finer.model.size < model.size / FINEST * (1 - 1e-9):
+            return result
+        finer.factorisations, finer.path_gap = result.factorisations, result.path_gap
+        finer.rescues = _added(finer.rescues, result.rescues)
+        levels.append(finer)
+
+
+def _added(rescues: dict[str, int], more: dict[str, int]) -> dict[str, int]:
+    return {rung: rescues.get(rung, 0) + more.get(rung, 0) for rung in [*more, *rescues]}
+
+
+def _end(source: Result, model: Model, callback: Callback | None, settings: Settings) -> Result:
+    """Solve the end of a model from that of a coarser one; follow the path where that fails."""
+    failed = 0
+    try:
+        result = carry(source, model, settings)
+    except NotConvergedError as error:
+        report(callback, f"its end was not found: the path on a mesh of {model.size:g} mm")
+        result, failed = follow(model, settings, callback), error.work
+        result.rescues["path followed on the finer mesh"] = 1
+    result.add_work(source, failed)
+    result.rescues = _added(result.rescues, source.rescues)
     return result
 
 
-def _worth_refining(levels: list[Result], accuracy: float | None) -> bool:
-    """Whether an accuracy is asked for, not reached yet, and can be judged."""
-    if accuracy is None or levels[-1].collapse:
-        return False
-    levels[-1].judge(levels[:-1])
-    error = levels[-1].estimate["shear_angle_deg"]
-    return len(levels) == 1 if error is None else error > accuracy
+def _with_path_gap(
+    coarse: Result, result: Result, settings: Settings, callback: Callback | None
+) -> Result:
+    """Add what the end depends on the mesh of the path; follow the path here if that is much.
+
+    It is measured on the mesh of the path: its own end, beside the one carried from a coarser path.
+    """
+    path, finest = result.path, result.model
+    report(callback, f"friction's path: the end carried from {coarse.model.size:.3g} mm")
+    try:
+        other = carry(coarse, path.model, settings)
+    except NotConvergedError as error:
+        result.add_work(path, error.work)
+        return result
+    result.add_work(other)
+    ends = other.quantities, path.quantities
+    scale = 1.0 / (coarse.model.size / path.model.size - 1.0)  # as for an error of first order
+    gap = {n: scale * abs(ends[0][n] - ends[1][n]) for n in ends[0] if n in ends[1]}
+    if gap[finest.force_name] > GAP * abs(result.force) or gap["shear_angle_deg"] > GAP_DEG:
+        report(callback, f"friction's path matters: followed on a mesh of {finest.size:g} mm")
+        followed = follow(finest, settings, callback)
+        followed.add_work(result)
+        if not followed.reason:
+            followed.rescues["path followed on the finer mesh"] = 1
+            return followed
+    result.path_gap = gap
+    return result
 
 
 def _check_accuracy(result: Result, accuracy: float | None) -> None:
@@ -154,115 +284,3 @@ def _check_accuracy(result: Result, accuracy: float | None) -> None:
         result.reason = f"{wanted}: no estimate of the error"
     elif error > accuracy:
         result.reason = f"{wanted} not reached: estimated {error:.2g} at a size of {size:g} mm"
-
-
-def _last_increment(path: Result) -> FloatArray:
-    """(n_dofs,) motion of all unknowns over the last increment of a path, mm."""
-    end = path.states[-1]
-    rows = [s for s in path.states if s.travel <= end.travel - CARRIED * (1 - 1e-9)]
-    return end.x - (rows[-1] if rows else path.states[0]).x
-
-
-def _carry(
-    coarse: Result,
-    model: Model,
-    last: FloatArray,
-    path: Result,
-    callback: Callback | None,
-    settings: Settings,
-) -> tuple[Result, Result, FloatArray]:
-    """Solve the end of a model from that of a coarser one; the path too where that fails.
-
-    The result, the path behind it and its last increment.
-    """
-    clock = time.perf_counter()
-    equations = Equilibrium(model, settings.linear, settings.tolerance, max_iterations=MOST)
-    equations.travel = coarse.states[-1].travel
-    run = Run(equations, settings)
-    start = _start(model, path)
-    try:
-        x, before = transferred(coarse, model, last)
-        run.memory = carried(coarse, model, last, x, before)
-        equations.take(run.memory)
-        x = run.settle(x)
-        if lost := model.lost(x):
-            raise NotConvergedError(lost)
-    except NotConvergedError:
-        report(callback, f"its end was not found: the path on a mesh of {model.size:g} mm")
-        path = result = follow(model, settings, callback)
-        result.rescues["path followed on the finer mesh"] = 1
-        last, failed = _last_increment(result), equations.tangent.factorisations
-    else:
-        run.open(x, equations.travel)
-        run.account.collapse = path.collapse or model.collapsed(x, equations.travel)
-        run.states = [State(0.0, start, 0.0, 0, {n: m(start) for n, m in model.measures.items()})]
-        run.keep()
-        result = run.result("", time.perf_counter() - clock)
-        result.path, result.energy_balance = path, path.energy_balance
-        result.stabilisation, result.snaps = path.stabilisation, path.snaps
-        result.increments = path.increments + 1
-        last, failed = x - before, 0
-    result.add_work(coarse, failed)
-    result.rescues = {
-        rung: result.rescues.get(rung, 0) + coarse.rescues.get(rung, 0)
-        for rung in [*coarse.rescues, *result.rescues]
-    }
-    return result, path, last
-
-
-def transferred(coarse: Result, model: Model, last: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Bring the end of a result to another mesh of the same model, by its last increment.
-
-    The unknowns at the end and one increment earlier, (n_dofs,) arrays, mm.
-    """
-    old, end = coarse.model, coarse.states[-1]
-    x, dx = model.x0.copy(), np.zeros_like(model.x0)
-    for field in model.unknowns.fields:
-        theirs = old.unknowns[field.name]
-        if field.places is None:
-            _check_same(field, theirs)
-            x[field.dofs], dx[field.dofs] = theirs.of(end.x), theirs.of(last)
-            continue
-        both = np.hstack([theirs.of(end.x) - theirs.of(old.x0), theirs.of(last)])
-        moved, increment = np.hsplit(smoothly(theirs.places, both, field.places), 2)
-        x[field.dofs] += moved
-        dx[field.dofs] = np.where(model.fixed[field.dofs], 0.0, increment)
-    x = np.where(model.fixed, model.prescribed(end.travel)[0], x)
-    return x, x - dx
-
-
-def carried(
-    coarse: Result, model: Model, last: FloatArray, x: FloatArray, before: FloatArray
-) -> Memory:
-    """Bring the states of the terms to another mesh, each by its own rule; see `transferred`."""
-    old, end = coarse.model, coarse.states[-1]
-    known: dict[str, list[Standing]] = {}  # several terms may have one name: in their order
-    for term, state in zip(old.terms, coarse.memory, strict=True):
-        was = Standing(term, old.unknowns, state, end.x, end.x - last)
-        known.setdefault(term.name, []).append(was)
-    states = []
-    for term in model.terms:
-        was = known[term.name].pop(0) if known.get(term.name) else None
-        now = Standing(term, model.unknowns, None, x, before)
-        states.append(term.carried(was and was.state, was, now))
-    return tuple(states)
-
-
-def _start(model: Model, path: Result) -> FloatArray:
-    """(n_dofs,) start of the travel, with the resting tools where the path had them."""
-    x = model.x0.copy()
-    for field in model.unknowns.fields:
-        if field.places is None:
-            theirs = path.model.unknowns[field.name]
-            _check_same(field, theirs)
-            x[field.dofs] = theirs.of(path.states[0].x)
-    return x
-
-
-def _check_same(field: Field, theirs: Field) -> None:
-    """Refuse to copy a field without places that has another size on another mesh."""
-    if field.dofs.shape != theirs.dofs.shape:
-        raise InputError(
-            f"field '{field.name}' has {len(theirs.dofs)} unknowns on a coarser mesh and "
-            f"{len(field.dofs)} here: give it places, so that it can be interpolated"
-        )

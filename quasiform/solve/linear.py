@@ -19,6 +19,12 @@ NAMES = ("auto", "pardiso", "superlu")
 class NotConvergedError(ArithmeticError):
     """A solve that did not reach its tolerance."""
 
+    work = 0  # factorisations that it took, where that is counted
+
+
+class SlidesOffError(NotConvergedError):
+    """A sheet that slides farther than what drives it."""
+
 
 class SingularMatrixError(NotConvergedError):
     """The matrix cannot be factorised: a motion without stiffness."""

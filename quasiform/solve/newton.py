@@ -78,6 +78,7 @@ def minimise(
         energies = [*energies[-7:], equations.energy(x)]
         highest = energies[-1] if stress is None else max(energies)
         before, x = x, _line_search(equations, x, g, d, highest)
+        equations.check_slide(x)
         stress = None if sliding else _foresee(equations, before, x)
     raise NotConvergedError(
         f"no equilibrium in {max_iterations} Newton iterations: residual {residual:.1e} of the "
@@ -98,7 +99,8 @@ def _line_search(
 ) -> FloatArray:
     """Armijo's rule by halving, with a floor of round-off, a longest step, the flip guard."""
     slope = float(g @ d)
-    if equations.convex == "never" and slope > 0:  # the tangent is not positive definite there
+    # the tangent is not positive definite there, or singular where a sheet slides freely
+    if slope > 0 and (equations.convex == "never" or equations.loaded):
         d, slope = -d, -slope
     if not np.isfinite(slope) or slope >= 0:
         raise NotConvergedError("Newton's direction is no descent direction")
@@ -138,7 +140,7 @@ def settle(equations: Equilibrium, x: FloatArray) -> FloatArray:
         if residual < (3 if i < 8 else 8) * goal:
             return x
         inner = max(goal, 0.2 * residual) if mixed else goal
-        if not equations.at_end and i >= 6 and residual < equations.left_over:
+        if i >= 6 and residual < equations.left_over:
             equations.continued += 1
             return x
         fresh.append(equations.lagged())

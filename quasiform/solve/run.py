@@ -21,8 +21,8 @@ from ..potential import Memory
 from ..result.run import Result, State
 from ..unknowns import FloatArray
 from .equilibrium import Equilibrium
-from .linear import NotConvergedError
-from .newton import downhill, predict, settle
+from .linear import NotConvergedError, SlidesOffError
+from .newton import downhill, minimise, predict, settle
 from .proximal import creep
 from .relaxation import relax
 
@@ -101,8 +101,12 @@ class Run:
         if self.settings.method == "relaxation":
             x = self._relaxed(x, 0.0)
         else:
+            self.equations.begin(x0, 0.0)
             try:
                 x = self._solve(x)
+            except SlidesOffError:
+                self.back()
+                x = self._solve(stuck_first(self, 0.0))
             except NotConvergedError:
                 self.back()
                 self.account.count("dynamic relaxation")
@@ -130,7 +134,9 @@ class Run:
         """
         account, s = self.account, self.travel
         saddles, damped = account.rescues.get("saddle left", 0), account.damped
+        self.equations.begin(self.x, target)
         moved = self._climb(target, rungs)
+        self.equations.check_slide(moved)
         memory = self.equations.potential.commit(moved, self.equations.memory)
         force, stored = self._force_and_energy(moved, memory)
         work = 0.5 * (account.force + force) * (target - s)
@@ -180,6 +186,8 @@ class Run:
             return self._leave_saddles(x, lambda x: relax(equations, x, still)[0])
         try:
             return self._solve(self._shaken(predict(equations, x, target)))
+        except SlidesOffError as error:
+            failed, rungs = error, [("friction stuck first", stuck_first)]
         except NotConvergedError as error:
             failed = error
         damped = self.account.damped
@@ -258,6 +266,7 @@ class Run:
             residual=equations.residual(g, certified=True),
             settings=asdict(self.settings) | {"linear": tangent.solver.name},
             energy_balance=abs(account.gap) / max(abs(account.work), 1e-12),
+            energy=account.stored,
             stabilisation=account.damped / max(abs(account.stored), 1e-12),
             snaps=account.snaps,
             negative_pivots=equations.certify(x),
@@ -269,6 +278,18 @@ def proximal(run: Run, target: float) -> FloatArray:
     """Creep to near the equilibrium at the travel `target`."""
     x, damped = creep(run.equations, predict(run.equations, run.x, target))
     run.account.damped += damped
+    return x
+
+
+def stuck_first(run: Run, target: float) -> FloatArray:
+    """Take normal forces from a stuck state: smaller ones would let a sheet slide off."""
+    equations = run.equations
+    x = run.x + equations.motion_to(run.x, target)
+    equations.travel = target
+    equations.refresh(x)
+    equations.stick()
+    x = minimise(equations, x, equations.goal)
+    equations.refresh(x)
     return x
 
 

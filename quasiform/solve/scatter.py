@@ -27,7 +27,7 @@ def spread(
     Parameters
     ----------
     result : Result
-        Its `spread` is set.
+        Its `spread` and `lower` are set.
     seeds : sequence of int
         One more run each.
     amplitude : float
@@ -63,5 +63,5 @@ def spread(
             "robust": bool(len(values) == len(found) and 0.5 * (high - low) <= allowed),
             "stopped": len(runs) - len(ended),
         }
-    result.spread = table
+    result.spread, result.lower = table, base.energy - min(run.energy for run in ended)
     return table

@@ -30,7 +30,8 @@ class Shape(Protocol):
     """A rigid surface in its own frame.
 
     A shape may also have a `box` (2, 3), the corners of its bounding box, beyond which distances
-    are not evaluated, and `sharpest`, its smallest radius of curvature (mm).
+    are not evaluated, `sharpest`, its smallest radius of curvature (mm), and `is_ball`, whether its
+    lower end is one.
     """
 
     def distance(self, points: FloatArray) -> Distance:
@@ -86,6 +87,10 @@ class Rounded:
     @property
     def sharpest(self) -> float:
         return self.radius
+
+    @property
+    def is_ball(self) -> bool:
+        return len(self.core) <= 2 and not np.ptp(self.core[:, :2])
 
     @cached_property
     def box(self) -> FloatArray:
@@ -210,6 +215,10 @@ class Placed:
     @property
     def sharpest(self) -> float:  # 0 where it is unknown
         return getattr(self.shape, "sharpest", 0.0)
+
+    @property
+    def is_ball(self) -> bool:
+        return getattr(self.shape, "is_ball", False)
 
     @cached_property
     def box(self) -> FloatArray | None:

@@ -1,4 +1,6 @@
-"""A strip over a drum and a strip between plates compared with Coulomb's closed forms."""
+"""Coulomb's closed forms: a strip over a drum, one between plates, a sheet on an incline."""
+
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -8,8 +10,8 @@ from quasiform.energy.bending import Bending
 from quasiform.energy.contact import Contact
 from quasiform.energy.friction import Friction
 from quasiform.energy.membrane import Membrane
-from quasiform.energy.weight import GRAVITY, ToolWeight
-from quasiform.tools.shapes import Plane, bar, flipped
+from quasiform.energy.weight import GRAVITY, SheetWeight, ToolWeight
+from quasiform.tools.shapes import Distance, Plane, bar, flipped
 from quasiform.unknowns import Sheet, Unknowns
 
 LOAD, RADIUS, LEAD, WIDTH = 20.0, 50.0, 25.0, 10.0  # N, mm
@@ -39,7 +41,65 @@ def values() -> dict[str, float]:
     found["strip that sticks: largest deviation from proportionality"] = float(
         np.abs(np.diff(force) / force[1] - 1).max()
     )
+    held, slides = (qf.solve(incline(share), estimate=False) for share in (0.999, 1.001))
+    found["incline 0.1 % below the limit: creep"] = creep(held)
+    found["incline 0.1 % above the limit: load factor reached"] = slides.states[-1].travel
     return found
+
+
+@dataclass(frozen=True)
+class Incline:
+    """The half space below a plane that falls along x."""
+
+    slope: float
+    sharpest = np.inf
+
+    @property
+    def normal(self) -> np.ndarray:
+        return np.array([np.sin(self.slope), 0.0, np.cos(self.slope)])
+
+    def distance(self, points: np.ndarray) -> Distance:
+        d, n = points @ self.normal, np.tile(self.normal, (len(points), 1))
+        return d, n, np.zeros((len(points), 3, 3))
+
+
+def incline(share: float, friction: float = 0.157, size: float = 10.0) -> qf.Model:
+    """A sheet on a plane inclined by `share` of tan φ = μ, its weight raised by a load factor."""
+    fabric = qf.Fabric()
+    plane = Incline(float(np.arctan(share * friction)))
+    blank = qf.rectangle(100.0, 100.0, size)
+    sheet = (unknowns := Unknowns()).sheet(blank, fabric, dim=3)
+    height, factor = unknowns.add("plane", 1), unknowns.add("load factor", 1)
+    x0, fixed, drive = unknowns.start(sheet)
+    n, t0 = plane.normal, fabric.thickness
+    x, y = blank.nodes.T
+    x0[sheet.dofs] = np.column_stack([n[2] * x, y, -n[0] * x]) + t0 / 2 * n
+    fixed[height.dofs] = fixed[factor.dofs] = True
+    drive[factor.dofs] = 1.0
+    contact = Contact(sheet, qf.Tool("plane", plane, friction=friction), height.dofs)
+    load = 1e-6 * GRAVITY * fabric.areal_weight
+    weight = SheetWeight(sheet, load, int(factor.dofs[0, 0]))
+    return qf.Model(
+        name="incline",
+        unknowns=unknowns,
+        sheets=[sheet],
+        terms=[Membrane(sheet), Bending(sheet), contact, Friction(contact), weight],
+        x0=x0,
+        fixed=fixed,
+        drive=drive,
+        travel=1.0,
+        increment=0.25,
+        rows=0.25,
+        travel_name="load_factor",
+        dead_load=load * blank.areas.sum(),
+    )
+
+
+def creep(result: qf.Result) -> float:
+    """Longest motion of a node along the plane in a run of `incline`, mm."""
+    n = result.model.contacts[0].tool.shape.normal
+    moved = np.array([result.positions(i) for i in range(len(result.states))]) - result.positions(0)
+    return float(np.linalg.norm(moved - (moved @ n)[..., None] * n, axis=-1).max())
 
 
 class EndLoad(qf.Term):

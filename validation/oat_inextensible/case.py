@@ -44,7 +44,8 @@ def values() -> dict[str, float]:
 def _fabric(law: str, C: float) -> qf.Fabric:
     fibre = qf.ThreeStageLaw(C_ini=C)
     shear = qf.Fabric.preset(law).shear
-    return qf.Fabric(name=f"{law}, fibres {4 * C:g} MPa", shear=shear, warp=fibre, weft=fibre)
+    given = {"shear": shear, "warp": fibre, "weft": fibre, "in_plane_bending": 0.0}
+    return qf.Fabric(name=f"{law}, fibres {4 * C:g} MPa", **given)
 
 
 def _order(errors: list[float]) -> float:

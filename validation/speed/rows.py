@@ -119,10 +119,11 @@ def judged(rows: Sequence[Row], fields: Mapping[str, FloatArray] | None = None) 
         row = replace(row, error=error, error_force=error_force, error_field=error_field)
         coarse = paths.get((row.scene, row.strategy, row.increment, 2 * row.size))
         if row.estimate is None and coarse is not None:
+            p99, force, sizes = [row.p99, coarse.p99], [row.force, coarse.force], (1.0, 2.0)
             row = replace(
                 row,
-                estimate=float(discretisation_error([row.p99, coarse.p99])),
-                estimate_force=float(discretisation_error([row.force, coarse.force])),
+                estimate=float(discretisation_error(p99, sizes)),
+                estimate_force=float(discretisation_error(force, sizes)),
             )
         found.append(row)
     return found

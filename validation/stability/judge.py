@@ -60,9 +60,10 @@ def errors(scene: str, kept: Mapping[Cell, Solved]) -> dict[tuple[str, str], tup
             coarser = [values[i], *values[:i][::-1]]
             while coarser and coarser[-1] is None:
                 coarser.pop()
+            sizes = [2.0**k for k in range(len(coarser))]
             pair = values[i : i + 2]
             if len(coarser) > 1 and None not in coarser:
-                found[size, name] = float(discretisation_error(coarser)), "sizes of the map"
+                found[size, name] = float(discretisation_error(coarser, sizes)), "sizes of the map"
             elif len(pair) == 2 and None not in pair:
                 found[size, name] = 2 * abs(pair[0] - pair[1]), "the next finer size"
             else:

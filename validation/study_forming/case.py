@@ -126,7 +126,7 @@ def _box(result: qf.Result, orientation: int) -> dict[str, float]:
     region, inside = NAMED[orientation]
     flange = np.maximum(np.abs(x), np.abs(y)) > OPENING
     named = flange & inside(off)
-    unstable = result.sheet.doubts()["unstable_in_shear"]
+    unstable = result.sheet.cell_fields["shear_stability"] < 0
     gamma = np.abs(result.shear_angle)
     found = {
         f"share of the flange {region} where bands can form": 100

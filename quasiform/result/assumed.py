@@ -1,0 +1,34 @@
+"""Which assumed numbers decide an answer: those of the scene, and defaults of the fabric."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+from ..fabric import PRESETS, Fabric
+from ..model import Model
+
+IN_SPACE = ("thickness", "bending_warp", "bending_weft", "in_plane_bending")
+STATED = ("thickness", "bending_warp", "bending_weft", "friction")  # for the fabric of the presets
+
+
+def assumed(model: Model) -> list[str]:
+    """Dotted names of the numbers with the standing "assumed" that the model hangs on.
+
+    A number of the fabric is assumed if its provenance says so, or if it is the default, without a
+    provenance: the defaults are those of another fabric, but for the presets.
+    """
+    standings, fabric = model.parameters.get("standings", {}), model.sheets[0].fabric
+    found = [name for name, standing in standings.items() if standing == "assumed"]
+    found = [name for name in found if name != "travel"]  # an answer names its travel
+    used = IN_SPACE if model.sheets[0].dim == 3 else IN_SPACE[:1]
+    used += ("compaction",) if model.contacts else ()
+    used += ("friction",) if model.frictions else ()
+    own = {law: Fabric.preset(law).shear for law in PRESETS}
+    stated = STATED if fabric.shear in own.values() else ()
+    defaults = {entry.name: entry.default for entry in fields(Fabric)}
+    for name in used:
+        origin = fabric.provenance.get(name)
+        default = getattr(fabric, name) == defaults[name] and name not in stated
+        if default if origin is None else str(origin).startswith("assumed"):
+            found.append(f"fabric.{name}")
+    return found

@@ -1,0 +1,106 @@
+"""What the numbers of a run depend on: the mesh, and in-plane bending.
+
+The mesh: the same run on a coarser one, and its end carried to a finer one. In-plane bending: the
+run on the coarser mesh again, with another value.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from ..checks import InputError
+from ..energy.bending import Bending
+from ..fabric import Fabric
+from ..result.run import Result
+from .carry import carry
+from .increments import Callback, follow, report
+from .linear import NotConvergedError
+from .run import Settings
+
+COARSER, FINER = 1.4, 0.5  # sizes of the other meshes
+HIGHER = 0.01  # more energy on a finer mesh, and its end is another state
+OTHER = 10 / 3  # times the in-plane bending: the other value
+INTERRUPTED = "interrupted while the error of the mesh was estimated"
+CHANGED = (
+    "error of the mesh not estimated",
+    "the model was changed by hand, or has no recipe (Model.including makes a change part of it)",
+)
+
+
+def coarser_run(result: Result, settings: Settings, callback: Callback | None) -> list[Result]:
+    """Run of the same model on a coarser mesh; no run where none can be built or completed.
+
+    The model is solved there with another in-plane bending too, and the result keeps what changes
+    (`Outcome.in_plane`) and all the work. A model that was changed by hand has no coarser mesh; a
+    note says so. An interruption ends the result with its reason.
+    """
+    if result.model.changed:
+        result.notes.append(CHANGED)
+        return []
+    try:
+        model = result.model.recipe.build(COARSER * result.model.size, like=result.model)
+        report(callback, f"error of the mesh: the same at {model.size:.3g} mm")
+        coarse = follow(model, settings, partial=False)
+        result.add_work(coarse)
+        if not coarse.reason:
+            _vary_in_plane(result, coarse, settings, callback)
+    except InputError:  # too coarse to be built, or the user's own mesh
+        return []
+    except KeyboardInterrupt:
+        result.reason = INTERRUPTED
+        return []
+    return [coarse]
+
+
+def finer_end(result: Result, settings: Settings, callback: Callback | None) -> Result | None:
+    """End of a result on a finer mesh; None where none can be built, or its end is not found.
+
+    Between bands that friction has put in place, a carried end may find another state. It is
+    recognised by its energy: that of the same state changes by less from mesh to mesh.
+    """
+    if result.model.changed or result.reason:
+        return None
+    try:
+        model = result.model.recipe.build(FINER * result.model.size, like=result.model)
+        report(callback, f"error of the mesh: the end at {model.size:.3g} mm")
+        finer = carry(result, model, settings)
+    except InputError:
+        return None
+    except NotConvergedError as error:
+        result.notes.append(("end not found on a finer mesh", str(error)))
+        result.factorisations[f"{model.size:g} mm"] = error.work
+        return None
+    except KeyboardInterrupt:
+        result.reason = INTERRUPTED
+        return None
+    result.add_work(finer)
+    if finer.energy > (1 + HIGHER) * result.energy:
+        more = 100 * (finer.energy / result.energy - 1)
+        why = f"{more:.1f} % more energy at {model.size:g} mm; the error is that to a coarser mesh"
+        result.notes.append(("end on a finer mesh is another state", why))
+        return None
+    return finer
+
+
+def _vary_in_plane(
+    result: Result, coarse: Result, settings: Settings, callback: Callback | None
+) -> None:
+    """Solve a coarse model with another in-plane bending, and keep both values of its numbers."""
+    model, given = coarse.model, dict(coarse.model.recipe.given)
+    r = model.sheet.fabric.in_plane_bending
+    bends = any(isinstance(term, Bending) for term in model.terms) and model.contacts
+    if not (bends and 0 < r < 1 and isinstance(given.get("fabric"), Fabric)):
+        return
+    other = min(OTHER * r, 1.0)
+    report(callback, f"the same with an in-plane bending of {other:g}")
+    given["fabric"] = replace(given["fabric"], in_plane_bending=other)
+    recipe = replace(model.recipe, given=tuple(sorted(given.items())))
+    varied = follow(recipe.build(model.size, like=model), settings, partial=False)
+    result.add_work(varied)
+    if not varied.reason:
+        ends = coarse.quantities, varied.quantities
+        result.in_plane = {
+            name: {f"{r:g}": ends[0][name], f"{other:g}": ends[1][name]}
+            for name in ends[0]
+            if name in ends[1]
+        }
