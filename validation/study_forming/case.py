@@ -35,9 +35,9 @@ NAMED = {
 
 def run(quick: bool) -> Outcome:
     """Six configurations (two in the quick suite), statements on them, and influences."""
-    shapes, size = (("hemisphere",), COARSE) if quick else (SHAPES, SIZE)
+    shapes = ("hemisphere",) if quick else SHAPES
     results = {
-        (shape, orientation): qf.refine(qf.forming(shape, orientation, size=size))
+        (shape, orientation): qf.refine(qf.forming(shape, orientation, size=SIZE))
         for shape in shapes
         for orientation in ORIENTATIONS
     }
