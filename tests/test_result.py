@@ -219,7 +219,8 @@ def test_trust_says_what_limits_the_numbers(strip):
     sheet = replace(strip.model.sheet, fabric=fabric)
     (words,) = trust(replace(strip, model=replace(strip.model, sheets=[sheet])))
     assert words.endswith("% of the area is sheared beyond 5°, the tested range of the law")
-    (words,) = trust(replace(strip, rescues={"saddle left": 1}))
+    assert trust(replace(strip, rescues={"saddle left": 1}, parted=0.05)) == []  # the same state
+    (words,) = trust(replace(strip, rescues={"saddle left": 1}, parted=0.5))
     assert words == "one of many states: 1 saddle was left on the way"
 
 

@@ -127,8 +127,11 @@ def _wrinkled(result: Outcome) -> bool:
 
     Or whether a sheet without contact has buckled.
     """
-    waving = any(result.wrinkles.get(f"waving_{family}_lines") for family in ("warp", "weft"))
-    return (_lifted(result) and waving) or _buckled(result)
+    return (_lifted(result) and _waving(result)) or _buckled(result)
+
+
+def _waving(result: Outcome) -> bool:
+    return any(result.wrinkles.get(f"waving_{family}_lines") for family in ("warp", "weft"))
 
 
 def _buckled(result: Outcome) -> bool:
@@ -139,14 +142,15 @@ def _buckled(result: Outcome) -> bool:
 def one_of_many(result: Outcome) -> str:
     """Why the state found is one of several; empty where nothing shows so."""
     signs, snaps = [], result.snaps
-    if saddles := result.rescues.get("saddle left", 0):
+    apart = result.parted > LIFTED * result.model.sheet.fabric.thickness
+    if apart and (saddles := result.rescues.get("saddle left", 0)):
         signs.append(f"{saddles} saddle{'s were' if saddles > 1 else ' was'} left on the way")
     if snaps:
         signs.append(
             f"the sheet jumped {len(snaps)} time{'s' * (len(snaps) > 1)}, first near "
             f"{snaps[0]['to_mm']:.4g} mm"
         )
-    if _lifted(result):
+    if _lifted(result) and _waving(result):
         signs.append(f"the flange lifts by {result.flange_lift:.2f} mm")
     if _buckled(result):
         signs.append(f"the sheet has buckled by {result.wrinkles['buckle_mm']:.3g} mm")

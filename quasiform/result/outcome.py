@@ -48,6 +48,7 @@ class Outcome:
     energy_balance: float
     negative_pivots: int | None
     stabilisation: float = 0.0
+    parted: float = 0.0
     snaps: list[dict[str, float]] = field(default_factory=list)
     collapse: dict[str, Any] | None = None
     estimate: dict[str, float | None] = field(default_factory=dict)

@@ -47,6 +47,8 @@ class Result(Outcome):
     stabilisation : float
         Work of the rescues (proximal steps, dynamic relaxation) on the way relative to the energy
         stored at the end. Their forces are in no state.
+    parted : float
+        Largest motion of a node when a saddle was left on the way, mm.
     snaps : list of dict
         Where the sheet jumped to another state, and the energy this released, estimated from the
         open balance of that increment: from_mm, to_mm, released_mJ.

@@ -64,6 +64,7 @@ def carry(source: Result, model: Model, settings: Settings) -> Result:
     result = run.result("", time.perf_counter() - clock)
     result.path, result.last = path, run.x - before
     result.stabilisation, result.snaps = path.stabilisation, path.snaps
+    result.parted = max(result.parted, path.parted)
     result.increments = path.increments + 1
     return result
 

@@ -74,6 +74,7 @@ class Account:
     damped: float = 0.0  # what the rescues took up, mJ
     increments: int = 0
     rescues: dict[str, int] = field(default_factory=dict)  # uses of each rung
+    parted: float = 0.0  # mm: the largest motion of a node when a saddle was left
     snaps: list[dict[str, float]] = field(default_factory=list)  # where the sheet jumped
     missed: tuple[float, float] = (-np.inf, np.inf)  # target and gap of one that was too coarse
     collapse: dict[str, Any] | None = None  # where a triangle first collapsed
@@ -235,7 +236,8 @@ class Run:
             if not negative:
                 break
             self.account.count("saddle left")
-            x = settled(downhill(self.equations, x, 1e-3 * 2**i))
+            saddle, x = x, settled(downhill(self.equations, x, 1e-3 * 2**i))
+            self.account.parted = max(self.account.parted, float(np.abs(x - saddle).max()))
         return x
 
     def _force_and_energy(self, x: FloatArray, memory: Memory) -> tuple[float, float]:
@@ -268,6 +270,7 @@ class Run:
             energy_balance=abs(account.gap) / max(abs(account.work), 1e-12),
             energy=account.stored,
             stabilisation=account.damped / max(abs(account.stored), 1e-12),
+            parted=account.parted,
             snaps=account.snaps,
             negative_pivots=equations.certify(x),
             collapse=account.collapse,
