@@ -24,7 +24,7 @@ SCENES = {  # scene, its size, that of the truth, mm
     "oat-30": (_oat(30, 12), 10.0, 1.25),
     "hemisphere-0": (_form("hemisphere"), 4.0, 1.6),
     "hemisphere-45": (_form("hemisphere", 45), 4.0, 1.6),
-    "tetrahedron-0": (_form("tetrahedron"), 4.0, 1.6),
+    "tetrahedron-0": (_form("tetrahedron"), 5.0, 2.0),
     # beyond 20 mm the box buckles, and its state is one of many
     "box-0 to 20 mm": (_form("box", travel=20), 4.0, 1.6),
     "box-45 to 20 mm": (_form("box", 45, travel=20), 4.0, 1.6),
