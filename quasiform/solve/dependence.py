@@ -55,6 +55,7 @@ def coarser_run(result: Result, settings: Settings, callback: Callback | None) -
 def finer_end(result: Result, settings: Settings, callback: Callback | None) -> Result | None:
     """End of a result on a finer mesh; None where none can be built, or its end is not found.
 
+    Without memory in the model, as in a plane test, the path is followed where a carried end fails.
     Between bands that friction has put in place, a carried end may find another state. It is
     recognised by its energy: that of the same state changes by less from mesh to mesh.
     """
@@ -63,12 +64,15 @@ def finer_end(result: Result, settings: Settings, callback: Callback | None) -> 
     try:
         model = result.model.recipe.build(FINER * result.model.size, like=result.model)
         report(callback, f"error of the mesh: the end at {model.size:.3g} mm")
-        finer = carry(result, model, settings)
+        try:
+            finer = carry(result, model, settings)
+        except NotConvergedError as error:
+            result.factorisations[f"{model.size:g} mm"] = error.work
+            if any(state is not None for state in result.memory):
+                result.notes.append(("end not found on a finer mesh", str(error)))
+                return None
+            finer = follow(model, settings, partial=False)  # no path to remember
     except InputError:
-        return None
-    except NotConvergedError as error:
-        result.notes.append(("end not found on a finer mesh", str(error)))
-        result.factorisations[f"{model.size:g} mm"] = error.work
         return None
     except KeyboardInterrupt:
         result.reason = INTERRUPTED
