@@ -94,7 +94,7 @@ def discretisation_error(
     by which differences fall when the size is halved. r follows from the difference d' to the next
     coarser mesh: for the order p and its ratio of sizes ρ, d/d' = (1 - 2⁻ᵖ)/(ρᵖ - 1) and r = 2⁻ᵖ,
     with p between zero (where a boundary layer is not resolved yet, differences do not fall for a
-    while) and two. Where two meshes happen to agree, a quarter of what d' says at second order,
+    while) and one (contact makes no more). Where two meshes happen to agree, a quarter of what d' says at second order,
     d'/(ρ² - 1), is used.
 
     Without one, the difference d of the two finest is continued by the factor r = d/d' by which it
@@ -114,7 +114,7 @@ def discretisation_error(
         last, r = steps[0], 0.5
         if len(steps) > own:
             before, ratio = np.maximum(steps[own], 1e-300), ratios[own]
-            p = np.linspace(2.0, 1e-3, 50)
+            p = np.linspace(1.0, 1e-3, 50)
             r = np.interp(last / before, (1 - 0.5**p) / (ratio**p - 1), 0.5**p)
             last = np.maximum(last, before / (ratio**2 - 1) / 4)
         return (SAFETY * last * (1 + r + r**2))[()]
