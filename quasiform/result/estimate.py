@@ -94,8 +94,8 @@ def discretisation_error(
     by which differences fall when the size is halved. r follows from the difference d' to the next
     coarser mesh: for the order p and its ratio of sizes ρ, d/d' = (1 - 2⁻ᵖ)/(ρᵖ - 1) and r = 2⁻ᵖ,
     with p between zero (where a boundary layer is not resolved yet, differences do not fall for a
-    while) and one (contact makes no more). Where two meshes happen to agree, a quarter of what d' says at second order,
-    d'/(ρ² - 1), is used.
+    while) and one (contact makes no more). Where two meshes happen to agree, a quarter of what d'
+    says at second order, d'/(ρ² - 1), is used.
 
     Without one, the difference d of the two finest is continued by the factor r = d/d' by which it
     fell from the one before, over three more halvings of the mesh: error = 5/4 d (r + r² + ...).
