@@ -65,9 +65,7 @@ def share(tool: Tool, size: float) -> float:
     """
     if getattr(tool.shape, "is_ball", False):
         return LENGTH / 2
-    sharpest = getattr(tool.shape, "sharpest", 0.0)
-    known = sharpest > 0 or tool.motion != "driven"  # a punch from a file may be a ball or not
-    return MEAN if known and not size > COARSE * sharpest > 0 else LENGTH
+    return LENGTH if size > COARSE * getattr(tool.shape, "sharpest", 0.0) > 0 else MEAN
 
 
 def at_nodes(blank: Blank, share: float = LENGTH) -> Points:
