@@ -12,7 +12,7 @@ STATED = ("thickness", "bending_warp", "bending_weft", "friction")  # for the fa
 
 
 def assumed(model: Model) -> list[str]:
-    """Dotted names of the numbers with the standing "assumed" that the model hangs on.
+    """Dotted names of the numbers with the standing "assumed" that the answer depends on.
 
     A number of the fabric is assumed if its provenance says so, or if it is the default, without a
     provenance: the defaults are those of another fabric, but for the presets.

@@ -17,7 +17,7 @@ SAFETY = 1.25
 def judged(result: Outcome, coarser: Sequence[Outcome], finer: Outcome | None = None) -> Outcome:
     """Return a result with the error of its mesh, from the same model on other meshes.
 
-    The coarsest comes first. The end on a finer mesh is the better witness where there is one. It
+    The coarsest comes first. The end on a finer mesh is preferred where there is one. The result
     stays without an estimate where the other model is another one (a user has added terms or
     changed the travel) or stopped early, or where one of the two has collapsed. What the end
     depends on the mesh of the path (`path_gap`) is part of the estimate.
@@ -94,7 +94,7 @@ def discretisation_error(
     by which differences fall when the size is halved. r follows from the difference d' to the next
     coarser mesh: for the order p and its ratio of sizes ρ, d/d' = (1 - 2⁻ᵖ)/(ρᵖ - 1) and r = 2⁻ᵖ,
     with p between zero (where a boundary layer is not resolved yet, differences do not fall for a
-    while) and one (contact makes no more). Where two meshes happen to agree, a quarter of what d'
+    while) and one (contact reaches no more). Where two meshes happen to agree, a quarter of what d'
     says at second order, d'/(ρ² - 1), is used.
 
     Without one, the difference d of the two finest is continued by the factor r = d/d' by which it

@@ -57,8 +57,8 @@ class Result(Outcome):
     energy, lower : float
         Stored at the end, and how much less the lowest state of perturbed starts has, mJ.
     path_gap : dict
-        What each of the `quantities` hangs on the mesh of the path; part of the estimate. Empty
-        where the path was followed on this mesh.
+        By how much each of the `quantities` depends on the mesh of the path; part of the estimate.
+        Empty where the path was followed on this mesh.
     estimate : dict
         Error of the mesh of each of the `quantities`, above all `shear_angle_deg` (of the 99th
         percentile) and `force_N` (`load_work_mJ` by a load factor), from other meshes

@@ -74,7 +74,7 @@ def summarise(result: Outcome, certificate: Certificate) -> dict[str, Any]:
 
 
 def path_errors(result: Outcome) -> dict[str, float | None]:
-    """What p99 and force hang on the mesh of the path: 0 if it is this one, None if unknown."""
+    """How p99 and force depend on the mesh of the path: 0 if it is this one, None if unknown."""
     force = result.model.force_name
     names = {"path_deg": "shear_angle_deg", f"path_{force.rpartition('_')[2]}": force}
     return {key: result.path_gap.get(name) if result.path else 0.0 for key, name in names.items()}
