@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import fields
 
+from ..energy.bending import Bending
 from ..fabric import PRESETS, Fabric
 from ..model import Model
 
@@ -20,7 +21,8 @@ def assumed(model: Model) -> list[str]:
     standings, fabric = model.parameters.get("standings", {}), model.sheets[0].fabric
     found = [name for name, standing in standings.items() if standing == "assumed"]
     found = [name for name in found if name != "travel"]  # an answer names its travel
-    used = IN_SPACE if model.sheets[0].dim == 3 else IN_SPACE[:1]
+    bends = any(isinstance(term, Bending) for term in model.terms)
+    used = IN_SPACE if model.sheets[0].dim == 3 else IN_SPACE[:1] + IN_SPACE[-1:] * bends
     used += ("compaction",) if model.contacts else ()
     used += ("friction",) if model.frictions else ()
     own = {law: Fabric.preset(law).shear for law in PRESETS}
