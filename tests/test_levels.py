@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 import quasiform as qf
 from quasiform.result.estimate import discretisation_error
 from quasiform.scenes import scene_file
-from quasiform.solve import carry, levels
+from quasiform.solve import carry, dependence, levels
 from quasiform.solve.carry import carried, transferred
 
 
@@ -320,3 +320,27 @@ def test_trust_names_what_in_plane_bending_changes(full):
     )
     full.in_plane["force_N"]["0.1"] = low + 0.5 * full.estimate["force_N"]
     assert not [s for s in full.summary()["trust"] if s.startswith("the force depends")]
+
+
+def pulled():
+    return qf.solve(qf.off_axis_tension(45, displacement=10, size=20))
+
+
+def test_a_finer_end_of_higher_energy_is_not_used(monkeypatch):
+    plain = pulled()
+    monkeypatch.setattr(dependence, "HIGHER", -1.0)
+    coarse = pulled()
+    assert not plain.notes
+    assert coarse.notes[0][0] == "end on a finer mesh is another state"
+    assert coarse.estimate["force_N"] != plain.estimate["force_N"]
+
+
+def test_a_plane_test_is_followed_where_its_finer_end_is_not_found(monkeypatch):
+    def lost(*arguments):
+        raise carry.NotConvergedError("lost")
+
+    plain = pulled()
+    monkeypatch.setattr(dependence, "carry", lost)
+    followed = pulled()
+    assert not followed.notes
+    assert followed.estimate["force_N"] == pytest.approx(plain.estimate["force_N"], rel=1e-3)
