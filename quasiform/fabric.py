@@ -320,7 +320,7 @@ class Fabric:
     bending_weft: float = 3.863
     friction: float = 0.157
     areal_weight: float = 600.0
-    compaction: float = 40.0
+    compaction: float = 10.0
     in_plane_bending: float = 0.03
     shear_range: float = 57.0
     provenance: Mapping[str, str | float] = field(default_factory=dict, hash=False)

@@ -192,15 +192,15 @@ def test_stencils_may_change_while_a_term_is_added_for_the_time_being():
     equations.refresh(moved)  # the pattern grows, and keeps what it has
     equations.refresh(x)
     with equations.with_term(Bed(np.ones(len(x)))):
-        equations.factor(x, 1.0)
+        equations.factor(x, True)
         equations.refresh(moved)
-        equations.factor(x, 1.0)
+        equations.factor(x, True)
     g = equations.gradient(moved)[equations.free]
-    equations.factor(moved, 1.0)
+    equations.factor(moved, True)
     solved = equations.tangent.solve(g)
     fresh = Equilibrium(model)
     fresh.take(equations.memory)
-    fresh.factor(moved, 1.0)
+    fresh.factor(moved, True)
     assert_allclose(solved, fresh.tangent.solve(g), rtol=1e-6, atol=1e-9 * np.abs(solved).max())
 
 
@@ -240,7 +240,7 @@ def slipping(model):
 
 def nonzeros(model):
     equations = Equilibrium(model, "superlu")
-    equations.factor(model.x0, 1.0)
+    equations.factor(model.x0, True)
     return equations.tangent.solver._factor.nnz
 
 

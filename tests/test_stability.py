@@ -17,7 +17,7 @@ from quasiform.result.certificate import WRINKLED
 from quasiform.result.measures import waves
 from quasiform.solve import run as running
 from quasiform.solve.equilibrium import Equilibrium, NotConvergedError
-from quasiform.solve.newton import predict, settle
+from quasiform.solve.newton import predict
 from quasiform.solve.proximal import Bed, creep
 from quasiform.unknowns import Unknowns
 from validation.stability.scenes import arch, flat_strip
@@ -228,8 +228,9 @@ def test_where_every_rung_fails_the_run_stops_and_says_where(monkeypatch):
     def fails(self, x):
         if self.equations.travel > 12:
             raise NotConvergedError("made to fail")
-        return settle(self.equations, x)
+        return solve(self, x)
 
+    solve = running.Run._solve
     monkeypatch.setattr(running.Run, "_solve", fails)
     result = qf.solve(hemisphere(), estimate=False)
     assert result.status == "stopped"

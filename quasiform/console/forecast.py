@@ -100,7 +100,7 @@ def _step(model: Model, linear: str) -> float:
         # another state, or the last factor would serve
         x = model.x0 + 1e-9 * len(taken) * equations.free
         clock = time.perf_counter()
-        equations.factor(x, 1.0)
+        equations.factor(x, True)
         g = equations.potential.gradient(x, equations.memory)
         equations.tangent.solve(g[equations.free])
         for term, state in zip(model.terms, equations.memory, strict=True):

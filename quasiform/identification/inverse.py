@@ -159,7 +159,7 @@ class Sheet:
         model, equilibrium, membrane = self.model, self.equilibrium, self.model.membrane
         free = equilibrium.free
         v = np.where(model.fixed, model.drive, 0.0)
-        _, load = equilibrium.factor(x, 0.0, motion=v)
+        _, load = equilibrium.factor(x, False, motion=v)
         v[free] = -equilibrium.tangent.solve(load)
         f, fv = membrane.fibres(x), membrane.fibres(v)
         I6 = (f[:, 0] * f[:, 1]).sum(1)

@@ -66,8 +66,9 @@ class Equilibrium:
 
     def take(self, memory: Memory) -> None:
         """Take over states of the terms, and their stencils where these have changed."""
-        self.tangent.follow(memory)
-        self.memory = memory
+        if memory is not self.memory:
+            self.tangent.follow(memory)
+            self.memory = memory
 
     def refresh(self, x: FloatArray) -> None:
         """Take lagged values from x."""
@@ -186,13 +187,13 @@ class Equilibrium:
         """(n_dofs,) motion of the prescribed unknowns from x to `travel`, mm."""
         return np.where(self.model.fixed, self.model.prescribed(travel)[0] - x, 0.0)
 
-    def factor(self, x: FloatArray, convex: float, **given: Any) -> tuple[int, FloatArray]:
+    def factor(self, x: FloatArray, convex: bool, **given: Any) -> tuple[int, FloatArray]:
         """Factorise a tangent at x; see `Tangent.factor`."""
         return self.tangent.factor(x, self.memory, convex, **given)
 
     def certify(self, x: FloatArray) -> int | None:
         """Negative pivots of the exact tangent at x; None if it is singular."""
         try:
-            return self.factor(x, 0.0)[0]
+            return self.factor(x, False)[0]
         except NotConvergedError:  # a stopped run may have no tangent
             return None

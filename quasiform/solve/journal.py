@@ -226,5 +226,5 @@ def _json(content: Any) -> str:
 
 def _counted(run: Run) -> tuple[tuple[Any, tuple[str, ...]], ...]:
     """Objects of a run beside its account, and what of them goes into a checkpoint."""
-    of_tangent = "factorisations", "convex_taken", "share"
+    of_tangent = "factorisations", "convex_taken"
     return (run.equations, ("continued", "relaxed", "travel")), (run.equations.tangent, of_tangent)

@@ -1,9 +1,10 @@
 """Newton's method on the summed potential, with the tangent that suits the state.
 
-The exact tangent is used where it is positive definite; where it is not, the nearby convex one is
-for this and the next iteration. Every step is a descent step of one potential, searched along its
-line (Armijo) and refused where it would turn a triangle over. Convergence is measured against the
-driving force.
+The exact tangent is used where it is positive definite; where it is not, see `tangent`. Every step
+is a descent step of one potential, searched along its line (Armijo) and refused where it would turn
+a triangle over. A whole step is followed by others of the same factor as long as the energy falls
+[3]_: they take back what the step has stretched the stiff fibres, and cost a solution each.
+Convergence is measured against the driving force.
 
 Stiff fibres that turn make Newton's steps short: the stress that a straight step of the nodes puts
 into them has little to do with that of the linearisation. Without contact the geometric stiffness
@@ -15,6 +16,7 @@ References
 ----------
 .. [1] D. Magisano, L. Leonetti, G. Garcea, Int. J. Numer. Methods Eng. 109 (2017) 1237-1262.
 .. [2] L. Grippo, F. Lampariello, S. Lucidi, SIAM J. Numer. Anal. 23 (1986) 707-716.
+.. [3] J. F. Traub, Iterative Methods for the Solution of Equations (1964).
 """
 
 from __future__ import annotations
@@ -26,13 +28,13 @@ from ..unknowns import FloatArray
 from .equilibrium import Equilibrium
 from .linear import NotConvergedError
 
-SLIDING = 60  # convex tangents in one solve, from which on a sheet slides off a saddle
+FURTHER = 2  # steps of one factor after a whole step
 
 
 def predict(equations: Equilibrium, x: FloatArray, travel: float) -> FloatArray:
     """Move the prescribed unknowns to `travel` and the others along the tangent."""
     motion, free = equations.motion_to(x, travel), equations.free
-    _, load = equations.tangent.factor_definite(x, equations.memory, motion=motion)
+    load = equations.tangent.factor_definite(x, equations.memory, motion)
     moved = x + motion
     moved[free] -= equations.tangent.solve(equations.gradient(x)[free] + load)
     equations.travel = travel
@@ -52,8 +54,7 @@ def minimise(
     free, tangent = equations.free, equations.tangent
     tolerance = tolerance or equations.tolerance
     max_iterations = max_iterations or equations.max_iterations
-    convex_left = taken = 0
-    tangent.forget()  # what was lagged, or the bed, may be another one
+    tangent.restart()  # what was lagged, or the bed, may be another one
     stress, equations.foreseen = equations.foreseen, None
     energies: list[float] = []
     for _ in range(max_iterations):
@@ -61,29 +62,37 @@ def minimise(
         residual = equations.residual(g)
         if residual < tolerance:
             return x
-        sliding = taken > SLIDING
-        if sliding:
-            stress = None
-        if convex_left:
-            equations.factor(x, 1.0, stress=stress)
-            convex_left -= 1
-        else:
-            exact, _ = tangent.factor_definite(x, equations.memory, sliding, stress=stress)
-            taken += not exact
-            convex_left = 0 if exact or sliding else 1
         d = np.zeros_like(x)
-        d[free] = -tangent.solve(g[free])
-        if stress is not None:
-            tangent.forget()  # no tangent of this state
+        d[free] = tangent.step(x, equations.memory, g[free], stress)
         energies = [*energies[-7:], equations.energy(x)]
         highest = energies[-1] if stress is None else max(energies)
         before, x = x, _line_search(equations, x, g, d, highest)
+        if stress is not None:
+            tangent.forget()  # no tangent of this state
+        stress = _foresee(equations, before, x)
+        if stress is None and np.array_equal(x, before + d):
+            x = _go_on(equations, x, tolerance)
         equations.check_slide(x)
-        stress = None if sliding else _foresee(equations, before, x)
     raise NotConvergedError(
         f"no equilibrium in {max_iterations} Newton iterations: residual {residual:.1e} of the "
         f"driving force against {tolerance:.0e}, largest {equations.worst(g)}"
     )
+
+
+def _go_on(equations: Equilibrium, x: FloatArray, tolerance: float) -> FloatArray:
+    """Take further steps of the present factor while they lower the energy."""
+    energy = equations.energy(x)
+    for _ in range(FURTHER):
+        g = equations.gradient(x)
+        if equations.residual(g) < tolerance:
+            break
+        further = x.copy()
+        further[equations.free] -= equations.tangent.solve(g[equations.free])
+        lower = equations.energy_at(x, further)
+        if not lower < energy:
+            break
+        x, energy = further, lower
+    return x
 
 
 def _foresee(equations: Equilibrium, x: FloatArray, moved: FloatArray) -> FloatArray | None:
@@ -154,12 +163,8 @@ def settle(equations: Equilibrium, x: FloatArray) -> FloatArray:
     raise NotConvergedError(f"friction does not settle in {passes} passes: residual {residual:.1e}")
 
 
-def downhill(equations: Equilibrium, x: FloatArray, stride: float = 1e-3) -> FloatArray:
-    """Leave a saddle along the weakest unstable mode of the last factorised exact tangent.
-
-    The mode is followed, on the side of lower energy, by a stride in units of the size of the
-    mesh, and on as far as the energy falls.
-    """
+def weakest_mode(equations: Equilibrium) -> FloatArray:
+    """Weakest unstable mode (n_dofs,) of the last factorised exact tangent."""
     n = equations.potential.pattern.shape[0]
     inverse = LinearOperator((n, n), matvec=equations.tangent.solve, dtype=float)
     start = np.random.default_rng(0).normal(size=n)
@@ -168,10 +173,18 @@ def downhill(equations: Equilibrium, x: FloatArray, stride: float = 1e-3) -> Flo
         _, modes = eigsh(inverse, k=1, which="SA", v0=start, tol=1e-2)
     except ArpackNoConvergence as error:
         raise NotConvergedError("no unstable mode found at a saddle") from error
-    d = np.zeros_like(x)
+    d = np.zeros(len(equations.free))
     d[equations.free] = modes[:, 0]
+    return d
+
+
+def downhill(equations: Equilibrium, x: FloatArray, mode: FloatArray, stride: float) -> FloatArray:
+    """Leave a saddle along an unstable mode, on the side of lower energy.
+
+    By a stride in units of the size of the mesh, and on as far as the energy falls.
+    """
     nodes = equations.model.unknowns.at_nodes()
-    d *= stride * equations.mesh_size / np.abs(d[nodes]).max()
+    d = stride * equations.mesh_size / np.abs(mode[nodes]).max() * mode
     if equations.energy_at(x, x - d) < equations.energy_at(x, x + d):
         d = -d
     best = equations.energy(x)

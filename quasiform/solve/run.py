@@ -22,7 +22,7 @@ from ..result.run import Result, State
 from ..unknowns import FloatArray
 from .equilibrium import Equilibrium
 from .linear import NotConvergedError, SlidesOffError
-from .newton import downhill, minimise, predict, settle
+from .newton import downhill, minimise, predict, settle, weakest_mode
 from .proximal import creep
 from .relaxation import relax
 
@@ -101,18 +101,20 @@ class Run:
         x = self._shaken(x0.copy())
         if self.settings.method == "relaxation":
             x = self._relaxed(x, 0.0)
+            memory = self.equations.potential.commit(x, self.equations.memory)
         else:
             self.equations.begin(x0, 0.0)
             try:
-                x = self._solve(x)
+                x, memory = self._solve(x)
             except SlidesOffError:
                 self.back()
-                x = self._solve(stuck_first(self, 0.0))
+                x, memory = self._solve(stuck_first(self, 0.0))
             except NotConvergedError:
                 self.back()
                 self.account.count("dynamic relaxation")
-                x = self._solve(self._relaxed(x0, 0.0, 1e-2, 5000))
-        return self._committed(x)
+                x, memory = self._solve(self._relaxed(x0, 0.0, 1e-2, 5000))
+        self._accept(x, memory)
+        return x
 
     def open(self, x: FloatArray, travel: float = 0.0) -> None:
         """Begin the energy account at the start, or where a run takes over."""
@@ -121,10 +123,8 @@ class Run:
 
     def settle(self, x: FloatArray) -> FloatArray:
         """Find the equilibrium near x and commit it."""
-        return self._committed(self._solve(x))
-
-    def _committed(self, x: FloatArray) -> FloatArray:
-        self._accept(x, self.equations.potential.commit(x, self.equations.memory))
+        x, memory = self._solve(x)
+        self._accept(x, memory)
         return x
 
     def advance(self, target: float, rungs: list[Rung], weigh: bool) -> None:
@@ -136,9 +136,7 @@ class Run:
         account, s = self.account, self.travel
         saddles, damped = account.rescues.get("saddle left", 0), account.damped
         self.equations.begin(self.x, target)
-        moved = self._climb(target, rungs)
-        self.equations.check_slide(moved)
-        memory = self.equations.potential.commit(moved, self.equations.memory)
+        moved, memory = self._climb(target, rungs)
         force, stored = self._force_and_energy(moved, memory)
         work = 0.5 * (account.force + force) * (target - s)
         lost = self.equations.potential.dissipated(self.memory, memory, moved)
@@ -175,8 +173,8 @@ class Run:
         self.equations.accept(x, memory)
         self.memory = memory
 
-    def _climb(self, target: float, rungs: list[Rung]) -> FloatArray:
-        """Newton's method, then each rung with Newton's method after it."""
+    def _climb(self, target: float, rungs: list[Rung]) -> tuple[FloatArray, Memory]:
+        """Newton's method, then each rung with Newton's method after it; see `_solve`."""
         x, equations = self.x, self.equations
         if self.settings.method == "relaxation":
             if equations.relaxed > MOST_RELAXED:
@@ -219,26 +217,34 @@ class Run:
         shaken = x + self.settings.perturbation * np.where(loose, noise, 0.0)
         return x if self.model.turned_over(x, shaken) else shaken
 
-    def _solve(self, x: FloatArray) -> FloatArray:
+    def _solve(self, x: FloatArray) -> tuple[FloatArray, Memory]:
+        """Find the equilibrium near x: its unknowns, and its committed states."""
         settled = partial(settle, self.equations)
         return self._leave_saddles(settled(x), settled)
 
     def _leave_saddles(
         self, x: FloatArray, settled: Callable[[FloatArray], FloatArray], tries: int = 8
-    ) -> FloatArray:
+    ) -> tuple[FloatArray, Memory]:
         """Follow negative curvature down until the exact tangent is positive definite.
 
-        Near a limit point the way down is flat and curved, and each try takes twice the stride of
-        the last. After `tries` the saddle is kept; the certificate says so.
+        The tangent is that of the committed states, which the certificate judges. Near a limit
+        point the way down is flat and curved, and each try takes twice the stride of the last.
+        After `tries` the saddle is kept; the certificate says so.
         """
-        for i in range(tries):
-            negative, _ = self.equations.factor(x, 0.0)
-            if not negative:
+        equations = self.equations
+        for i in range(tries + 1):
+            equations.check_slide(x)
+            lagged = equations.memory
+            equations.take(equations.potential.commit(x, lagged))
+            negative, _ = equations.factor(x, False)
+            if not negative or i == tries:
                 break
             self.account.count("saddle left")
-            saddle, x = x, settled(downhill(self.equations, x, 1e-3 * 2**i))
+            mode = weakest_mode(equations)
+            equations.take(lagged)
+            saddle, x = x, settled(downhill(equations, x, mode, 1e-3 * 2**i))
             self.account.parted = max(self.account.parted, float(np.abs(x - saddle).max()))
-        return x
+        return x, equations.memory
 
     def _force_and_energy(self, x: FloatArray, memory: Memory) -> tuple[float, float]:
         force = self.equations.force(self.equations.gradient(x))

@@ -1,19 +1,26 @@
 """The tangent: exact where it is positive definite, the nearby convex one where it is not.
 
-Factorisations are counted: the unit in which work is measured.
+The convex tangent alone is too stiff: it then serves as preconditioner of conjugate gradients on
+the exact one, which end at the first direction of negative curvature [1]_. Factorisations are
+counted: the unit in which work is measured.
+
+References
+----------
+.. [1] T. Steihaug, SIAM J. Numer. Anal. 20 (1983) 626-637.
 """
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
+from scipy.sparse import csr_array
 
 from ..potential import Memory, Potential
 from ..unknowns import FloatArray
 from .linear import SingularMatrixError, linear_solver
 
-LEAST_SHARE = 1 / 64  # of the convex tangent, while a sheet slides off a saddle
+KEPT = 8  # further steps with the convex tangent before the exact one is tried again
+FORCING = 0.1  # residual of the conjugate gradients relative to the first, in their own norm
+MOST = 30  # of their iterations
 
 
 class Tangent:
@@ -27,8 +34,8 @@ class Tangent:
         self._places, self._linear = places, linear
         self.solver = linear_solver(linear, potential.pattern, places)
         self.factorisations = self.convex_taken = 0
-        self.share = 1 / 4  # of the convex tangent, to be tried first while a sheet slides
-        self._factored: tuple[FloatArray, float, int] | None = None
+        self._kept = 0
+        self._factored: tuple[FloatArray, bool, int] | None = None
 
     def follow(self, memory: Memory) -> None:
         """Take over changed states, and analyse the pattern anew where it has grown."""
@@ -40,6 +47,10 @@ class Tangent:
         """The last factor is of no use any more."""
         self._factored = None
 
+    def restart(self) -> None:
+        """Begin another solve: the exact tangent is tried first."""
+        self._factored, self._kept = None, 0
+
     def take(self, potential: Potential) -> None:
         """Take another potential, and analyse its pattern if that is another one."""
         old, new = self.potential.pattern, potential.pattern
@@ -49,55 +60,94 @@ class Tangent:
             self.solver = linear_solver(self._linear, new, self._places)
 
     def factor(
-        self, x: FloatArray, memory: Memory, convex: float, **given: FloatArray | None
+        self, x: FloatArray, memory: Memory, convex: bool, **given: FloatArray | None
     ) -> tuple[int, FloatArray]:
         """Factorise a tangent; number of negative pivots, and its product with a motion.
 
-        `convex` is the share of the convex tangent in it, the rest is the exact one. Given are the
-        `motion`, and a foreseen `stress`, which takes the place of that at x. The factor of an
-        accepted state, made for its certificate, serves the next prediction too.
+        Given are the `motion`, and a foreseen `stress`, which takes the place of that at x. The
+        factor of an accepted state, made for its certificate, serves the next prediction too.
         """
-        values, load = self.potential.hessian(x, memory, convex == 1, **given)
-        if 0 < convex < 1:
-            values += convex * (self.potential.hessian(x, memory, True)[0] - values)
         known = self._factored if given.get("stress") is None else None
-        if known is None or known[1] != convex or not np.array_equal(known[0], x):
-            self._factored = None
-            self.factorisations += 1
-            self._factored = x.copy(), convex, self.solver.factor(values)
+        same = known is not None and known[1] == convex and np.array_equal(known[0], x)
+        if same and given.get("motion") is None:
+            return known[2], np.zeros(self.potential.pattern.shape[0])
+        values, load = self.potential.hessian(x, memory, convex, **given)
+        if not same:
+            self._factor(x, convex, values)
         return self._factored[2], load
 
-    def factor_definite(
-        self, x: FloatArray, memory: Memory, sliding: bool = False, **given: FloatArray | None
-    ) -> tuple[bool, FloatArray]:
+    def _factor(self, x: FloatArray, convex: bool, values: FloatArray) -> int:
+        self._factored = None
+        self.factorisations += 1
+        self._factored = x.copy(), convex, self.solver.factor(values)
+        return self._factored[2]
+
+    def factor_definite(self, x: FloatArray, memory: Memory, motion: FloatArray) -> FloatArray:
         """Factorise the exact tangent if it is positive definite, else the convex one.
 
-        Whether it is the exact one, and its product with the motion. With `convex` "never", the
-        exact one whatever it is. While a sheet is `sliding` off a saddle the convex tangent is much
-        too stiff: the smallest share of it that does is taken.
+        Its product with a motion. With `convex` "never", the exact one whatever it is.
         """
-        if self.convex == "never":
-            return True, self.factor(x, memory, 0.0, **given)[1]
-        if self.convex == "on demand":
-            if (load := self._if_definite(x, memory, 0.0, **given)) is not None:
-                return True, load
-            self.convex_taken += 1
-            share = self.share
-            while sliding and given.get("stress") is None and share < 1:
-                if (load := self._if_definite(x, memory, share, **given)) is not None:
-                    self.share = max(share / 4, LEAST_SHARE)
-                    return False, load
-                share *= 4
-            self.share = 1 / 4
-        return False, self.factor(x, memory, 1.0, **given)[1]
+        if self.convex != "always":
+            try:
+                negative, load = self.factor(x, memory, False, motion=motion)
+                if self.convex == "never" or not negative:
+                    return load
+            except SingularMatrixError:
+                if self.convex == "never":
+                    raise
+        self.convex_taken += self.convex == "on demand"
+        return self.factor(x, memory, True, motion=motion)[1]
 
-    def _if_definite(self, *args: Any, **given: FloatArray | None) -> FloatArray | None:
-        """Product with the motion if the tangent is positive definite."""
-        try:
-            negative, load = self.factor(*args, **given)
-        except SingularMatrixError:
-            return None
-        return None if negative else load
+    def step(
+        self, x: FloatArray, memory: Memory, g: FloatArray, stress: FloatArray | None = None
+    ) -> FloatArray:
+        """Newton's step (n_free,) from x, against the free part g of the gradient.
+
+        Where the exact tangent is not positive definite, the convex one is factorised there and in
+        the next steps. With `convex` "never" the exact one is taken whatever it is.
+        """
+        if self.convex == "always":
+            self.factor(x, memory, True, stress=stress)
+            return -self.solve(g)
+        exact = self.potential.hessian(x, memory, False, stress=stress)[0]
+        if not self._kept:
+            try:
+                if not self._factor(x, False, exact) or self.convex == "never":
+                    return -self.solve(g)
+            except SingularMatrixError:
+                if self.convex == "never":
+                    raise
+            self.convex_taken += 1
+            self._kept = KEPT + 1
+        self._kept -= 1
+        self._factor(x, True, self.potential.hessian(x, memory, True, stress=stress)[0])
+        return self._truncated(exact, g)
+
+    def _truncated(self, values: FloatArray, g: FloatArray) -> FloatArray:
+        """Conjugate gradients on a tangent of these values, preconditioned by the present factor.
+
+        Towards its step from the gradient g; up to the first direction of negative curvature.
+        """
+        pattern = self.potential.pattern
+        upper = csr_array((values, pattern.indices, pattern.indptr), shape=pattern.shape)
+        diagonal = upper.diagonal()
+        d, r = np.zeros_like(g), -g
+        z = self.solve(r)
+        p, now = z, r @ z
+        enough = FORCING**2 * now
+        for i in range(MOST):
+            product = upper @ p + upper.T @ p - diagonal * p
+            curvature = p @ product
+            if curvature <= 1e-8 * now:
+                return d if i else z
+            length = now / curvature
+            d, r = d + length * p, r - length * product
+            z = self.solve(r)
+            before, now = now, r @ z
+            if now < enough:
+                break
+            p = z + (now / before) * p
+        return d
 
     def solve(self, b: FloatArray) -> FloatArray:
         return self.solver.solve(b)
