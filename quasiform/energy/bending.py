@@ -132,6 +132,12 @@ class Bending(Term):
         kappa = np.einsum("sfc,sc->sf", k, n)
         return 0.5 * (self.stiffness * ((1 - r) * kappa**2 + r * (k**2).sum(-1))).sum(1)
 
+    def by_in_plane(self, x: FloatArray) -> float:
+        """Derivative of the energy by r, mJ."""
+        k, _, _, n, _ = self._frame(x)
+        in_plane = (k**2).sum(-1) - np.einsum("sfc,sc->sf", k, n) ** 2
+        return float(0.5 * (self.stiffness * in_plane).sum())
+
     def _first_derivative(self, x: FloatArray) -> tuple[FloatArray, ...]:
         """κ, its gradient by (k_warp, k_weft, u, v) and what the second derivative needs."""
         k, u, v, n, length = self._frame(x)

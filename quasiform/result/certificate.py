@@ -103,7 +103,7 @@ def certify(result: Outcome) -> Certificate:
         f"a fibre cuts {chord:.2f} mm into a tool, {CHORD * thickness:.2f} allowed": (
             chord > CHORD * thickness
         ),
-        f"a mesh of {size:.3g} mm is too coarse for the radius of {radius:.3g} mm that the sheet "
+        f"a mesh of {size:.3g} mm is too coarse for the radius of {radius:.1f} mm that the sheet "
         "bends over, half of it allowed": size > FINE * radius,
         f"collapsed from {collapse} mm on": bool(collapse),
         steps: too_long,

@@ -62,6 +62,7 @@ class Outcome:
     path: Outcome | None = None
     last: FloatArray | None = None
     factorisations: dict[str, int] = field(default_factory=dict)
+    purposes: dict[str, int] = field(default_factory=dict)
     memory: tuple[Any, ...] = ()
     notes: list[tuple[str, str]] = field(default_factory=list)
 

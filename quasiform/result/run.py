@@ -77,6 +77,10 @@ class Result(Outcome):
         Motion over the last increment, where only the end was solved on this mesh, mm.
     factorisations : dict of mesh to count
         Numeric factorisations by mesh, such as {"10 mm": 295, "5 mm": 27}.
+    purposes : dict of purpose to count
+        Those of the way on this mesh: prediction, balance (the first solution of an increment),
+        friction (the passes after it), saddle, check (of the pivots), rescue, refused; "convex"
+        where the exact tangent was not positive definite.
     memory : tuple
         States of the terms at the end.
     notes : list of (entry, reason)

@@ -1,7 +1,7 @@
 """What the numbers of a run depend on: the mesh, and in-plane bending.
 
 The mesh: the same run on a coarser one, and its end carried to a finer one. In-plane bending: the
-run on the coarser mesh again, with another value.
+run on the coarser mesh again, with another value, unless that adds next to nothing to the energy.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from .run import Settings
 COARSER, FINER = 1.4, 0.5  # sizes of the other meshes
 HIGHER = 0.01  # more energy on a finer mesh, and its end is another state
 OTHER = 10 / 3  # times the in-plane bending: the other value
+LITTLE = 2e-3  # of the energy: what the other value may add without a run of its own
 INTERRUPTED = "interrupted while the error of the mesh was estimated"
 CHANGED = (
     "error of the mesh not estimated",
@@ -52,8 +53,12 @@ def coarser_run(result: Result, settings: Settings, callback: Callback | None) -
     return [coarse]
 
 
-def finer_end(result: Result, settings: Settings, callback: Callback | None) -> Result | None:
+def finer_end(
+    result: Result, settings: Settings, callback: Callback | None, saddles: bool = False
+) -> Result | None:
     """End of a result on a finer mesh; None where none can be built, or its end is not found.
+
+    Without `saddles` it may be one: enough for an estimate, not for a result.
 
     Without memory in the model, as in a plane test, the path is followed where a carried end fails.
     Between bands that friction has put in place, a carried end may find another state. It is
@@ -65,7 +70,7 @@ def finer_end(result: Result, settings: Settings, callback: Callback | None) -> 
         model = result.model.recipe.build(FINER * result.model.size, like=result.model)
         report(callback, f"error of the mesh: the end at {model.size:.3g} mm")
         try:
-            finer = carry(result, model, settings)
+            finer = carry(result, model, settings, saddles)
         except NotConvergedError as error:
             result.factorisations[f"{model.size:g} mm"] = error.work
             if any(state is not None for state in result.memory):
@@ -92,10 +97,15 @@ def _vary_in_plane(
     """Solve a coarse model with another in-plane bending, and keep both values of its numbers."""
     model, given = coarse.model, dict(coarse.model.recipe.given)
     r = model.sheet.fabric.in_plane_bending
-    bends = any(isinstance(term, Bending) for term in model.terms) and model.contacts
-    if not (bends and 0 < r < 1 and isinstance(given.get("fabric"), Fabric)):
+    bends = [term for term in model.terms if isinstance(term, Bending)]
+    if not (bends and model.contacts and 0 < r < 1 and isinstance(given.get("fabric"), Fabric)):
         return
     other = min(OTHER * r, 1.0)
+    rate = sum(
+        term.by_in_plane(coarse.states[-1].x) for term in bends
+    )  # the change, to first order
+    if (other - r) * rate < LITTLE * coarse.energy:
+        return
     report(callback, f"the same with an in-plane bending of {other:g}")
     given["fabric"] = replace(given["fabric"], in_plane_bending=other)
     recipe = replace(model.recipe, given=tuple(sorted(given.items())))

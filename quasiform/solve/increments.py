@@ -144,7 +144,8 @@ class _Steps:
         run, model, s, step = self.run, self.run.model, self.run.travel, self.next
         goal = float(min(self.rows * np.floor(s / self.rows * (1 + 1e-12) + 1), model.travel))
         self.target = goal if s + step * (1 + 1e-6) >= goal else s + step
-        before = run.equations.tangent.factorisations
+        tangent = run.equations.tangent
+        before = tangent.counts.copy()
         finest = run.settings.increment is not None or self.target - s <= self.largest / 16
         rungs = [("proximal", proximal)] * bool(step <= CREEPING * self.largest)
         rungs += [("dynamic relaxation", dynamic_relaxation)] * bool(step <= self.shortest)
@@ -152,12 +153,13 @@ class _Steps:
             run.advance(self.target, rungs, weigh=not finest)
         except (NotConvergedError, TooCoarseError) as error:
             run.back()
+            tangent.refuse(before)
             self.next = max(0.5 * min(step, self.target - s), self.shortest)
             if isinstance(error, TooCoarseError):
                 return ""
             run.account.count("shorter step")
             return f"at {s:.4g} of {model.travel:.4g}: {error}" if step <= self.shortest else ""
-        solves = run.equations.tangent.factorisations - before
+        solves = tangent.factorisations - before.total()
         if solves <= 200:  # a snap takes as many at any step
             self.next = min((2.0 if solves <= 30 else 1.5) * step, self.largest)
         if self.target == goal:

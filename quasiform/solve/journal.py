@@ -190,7 +190,7 @@ class Journal:
             run.equations.certify(run.x)  # as the run had done: the next steps are the same ones
             for (of, _), values in zip(_counted(run), recorded["counted"], strict=True):
                 for name, value in values.items():
-                    setattr(of, name, value)
+                    setattr(of, name, type(getattr(of, name))(value))
         self._rows = len(run.states)
         return recorded["step"], recorded["elapsed"]
 
@@ -226,5 +226,5 @@ def _json(content: Any) -> str:
 
 def _counted(run: Run) -> tuple[tuple[Any, tuple[str, ...]], ...]:
     """Objects of a run beside its account, and what of them goes into a checkpoint."""
-    of_tangent = "factorisations", "convex_taken"
+    of_tangent = "counts", "convex_taken"
     return (run.equations, ("continued", "relaxed", "travel")), (run.equations.tangent, of_tangent)

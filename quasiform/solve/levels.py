@@ -215,7 +215,7 @@ def _refined(
         result = levels[-1]
         if result is not path:
             result.in_plane, result.notes = path.in_plane, path.notes
-        finer = finer_end(result, settings, callback)
+        finer = finer_end(result, settings, callback, saddles=accuracy is not None)
         result.judge([*coarser, *levels[:-1]], finer)
         error = result.estimate["shear_angle_deg"]
         if accuracy is None or error is None or finer is None or error <= accuracy:

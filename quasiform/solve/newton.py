@@ -141,7 +141,8 @@ def settle(equations: Equilibrium, x: FloatArray) -> FloatArray:
     used, fresh = [], []  # lagged values that the state was solved with, and those then found
     for i in range(passes):
         used.append(equations.lagged())
-        x = minimise(equations, x, inner)
+        with equations.tangent.counted_as("friction" if i else "balance"):
+            x = minimise(equations, x, inner)
         if not equations.remembers:
             return x
         equations.refresh(x)

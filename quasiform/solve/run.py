@@ -27,6 +27,7 @@ from .proximal import creep
 from .relaxation import relax
 
 MOST_RELAXED = 60_000  # iterations of a run by dynamic relaxation alone
+SADDLES = 8  # tries to leave saddles, each with twice the stride of the last
 WEIGHED = 5e-3  # of the work to come: what an increment may miss by the trapezoidal rule
 
 Rung = tuple[str, Callable[["Run", float], FloatArray]]  # its name, and what it does
@@ -91,7 +92,7 @@ class Run:
         self.equations, self.settings, self.model = equations, settings, equations.model
         self.x, self.travel, self.states = self.model.x0, 0.0, list[State]()
         self.memory: Memory = equations.memory  # committed
-        self.account = Account()
+        self.account, self.tries = Account(), SADDLES
 
     def start(self) -> FloatArray:
         """Equilibrium before any travel (a holder settling on the sheet)."""
@@ -184,7 +185,9 @@ class Run:
             still, x = np.zeros_like(x), self._relaxed(x, target)
             return self._leave_saddles(x, lambda x: relax(equations, x, still)[0])
         try:
-            return self._solve(self._shaken(predict(equations, x, target)))
+            with equations.tangent.counted_as("prediction"):
+                x = predict(equations, x, target)
+            return self._solve(self._shaken(x))
         except SlidesOffError as error:
             failed, rungs = error, [("friction stuck first", stuck_first)]
         except NotConvergedError as error:
@@ -194,7 +197,7 @@ class Run:
             self.back()
             self.account.damped = damped
             self.account.count(name)
-            with suppress(NotConvergedError):
+            with suppress(NotConvergedError), equations.tangent.counted_as("rescue"):
                 return self._solve(rung(self, target))
         self.account.damped = damped
         raise failed
@@ -223,26 +226,28 @@ class Run:
         return self._leave_saddles(settled(x), settled)
 
     def _leave_saddles(
-        self, x: FloatArray, settled: Callable[[FloatArray], FloatArray], tries: int = 8
+        self, x: FloatArray, settled: Callable[[FloatArray], FloatArray]
     ) -> tuple[FloatArray, Memory]:
         """Follow negative curvature down until the exact tangent is positive definite.
 
         The tangent is that of the committed states, which the certificate judges. Near a limit
-        point the way down is flat and curved, and each try takes twice the stride of the last.
-        After `tries` the saddle is kept; the certificate says so.
+        point the way down is flat and curved. After the last try the saddle is kept; the
+        certificate says so.
         """
         equations = self.equations
-        for i in range(tries + 1):
+        for i in range(self.tries + 1):
             equations.check_slide(x)
             lagged = equations.memory
             equations.take(equations.potential.commit(x, lagged))
             negative, _ = equations.factor(x, False)
-            if not negative or i == tries:
+            if not negative or i == self.tries:
                 break
             self.account.count("saddle left")
             mode = weakest_mode(equations)
             equations.take(lagged)
-            saddle, x = x, settled(downhill(equations, x, mode, 1e-3 * 2**i))
+            saddle, stride = x, 1e-3 * 2**i
+            with equations.tangent.counted_as("saddle"):
+                x = settled(downhill(equations, x, mode, stride))
             self.account.parted = max(self.account.parted, float(np.abs(x - saddle).max()))
         return x, equations.memory
 
@@ -269,6 +274,7 @@ class Run:
             wall_s=wall,
             linear_solves=tangent.factorisations,
             factorisations={f"{self.model.size:g} mm": tangent.factorisations},
+            purposes=dict(tangent.counts),
             increments=account.increments,
             rescues=account.rescues | {rung: times for rung, times in own.items() if times},
             residual=equations.residual(g, certified=True),

@@ -11,6 +11,10 @@ References
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import numpy as np
 from scipy.sparse import csr_array
 
@@ -33,9 +37,29 @@ class Tangent:
         self.potential, self.convex = potential, convex
         self._places, self._linear = places, linear
         self.solver = linear_solver(linear, potential.pattern, places)
-        self.factorisations = self.convex_taken = 0
-        self._kept = 0
+        self.counts: Counter[str] = Counter()  # factorisations by purpose
+        self.convex_taken = self._kept = 0
+        self._purpose = ""
         self._factored: tuple[FloatArray, bool, int] | None = None
+
+    @property
+    def factorisations(self) -> int:
+        return self.counts.total()
+
+    @contextmanager
+    def counted_as(self, purpose: str) -> Iterator[None]:
+        """Count the factorisations meanwhile under a purpose; the outermost one counts."""
+        outer = self._purpose
+        self._purpose = outer or purpose
+        try:
+            yield
+        finally:
+            self._purpose = outer
+
+    def refuse(self, before: Counter[str]) -> None:
+        """Count what was done since `before` as that of refused increments."""
+        refused = self.counts - before
+        self.counts = before + Counter({"refused": refused.total()})
 
     def follow(self, memory: Memory) -> None:
         """Take over changed states, and analyse the pattern anew where it has grown."""
@@ -78,7 +102,7 @@ class Tangent:
 
     def _factor(self, x: FloatArray, convex: bool, values: FloatArray) -> int:
         self._factored = None
-        self.factorisations += 1
+        self.counts[(self._purpose or "check") + ", convex" * convex] += 1
         self._factored = x.copy(), convex, self.solver.factor(values)
         return self._factored[2]
 

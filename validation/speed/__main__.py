@@ -5,6 +5,7 @@
     python -m validation.speed --quick                    a check, about three minutes
     python -m validation.speed --reductions               reductions.md
     python -m validation.speed --scale                    scale.md: the hemisphere on fine meshes
+    python -m validation.speed --iterations               iterations.md: what factorisations are for
 
 Rows of rows.csv with the same sources of the package are not computed again. The error is relative
 to a solution two levels finer than the finest mesh of the chart. Work is processor time, and linear
@@ -23,7 +24,7 @@ from pathlib import Path
 import numpy as np
 
 from ..tables import markdown_table
-from . import chart, reductions, scale
+from . import chart, iterations, reductions, scale
 from .rows import GAIN, REFERENCE, Row, expected_seconds, judged, pareto, read, write
 from .runs import PROBLEMS, STRATEGIES, Plan, plans, run, sources
 
@@ -44,12 +45,16 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--draw", action="store_true", help="draw rows.csv again without computing")
     parser.add_argument("--reductions", action="store_true", help="effect of each simplification")
     parser.add_argument("--scale", action="store_true", help="time and memory of large meshes")
+    parser.add_argument("--iterations", action="store_true", help="what factorisations are for")
     given = parser.parse_args(argv)
     given.out.mkdir(parents=True, exist_ok=True)
     if given.reductions:
         _save(reductions.table(), given.out / "reductions.md")
     elif given.scale:
         _save(scale.table(), given.out / "scale.md")
+    elif given.iterations:
+        path = given.out / "iterations.md"
+        _save(iterations.table(path, given.scenes or ()), path)
     else:
         path = given.out / "rows.csv"
         rows = read(path) if given.draw else _compute(given, path)
