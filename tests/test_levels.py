@@ -311,7 +311,7 @@ def test_the_force_has_an_error_along_the_travel(refined, full):
 
 def test_trust_names_what_in_plane_bending_changes(full):
     assert full.in_plane == {}  # the other value adds less than .2 % to the energy
-    box = qf.solve(qf.forming("box", size=10, travel=8))
+    box = qf.solve(qf.forming("box", size=10, travel=14))
     names = {"0.03", "0.1"}
     assert box.in_plane
     assert all(set(values) == names for values in box.in_plane.values())
