@@ -1,6 +1,7 @@
 """Killed runs leave readable files and carry on to the same end."""
 
 import csv
+import gc
 import json
 import os
 import shutil
@@ -15,6 +16,7 @@ import pytest
 
 import quasiform as qf
 from quasiform.console.cli import main
+from quasiform.result.files import FILES
 from quasiform.scenes import scene_file
 from quasiform.solve import Journal, dependence
 
@@ -260,3 +262,51 @@ def test_a_new_run_leaves_the_old_result_until_it_has_one_of_its_own(tmp_path):
     assert readable(tmp_path)["status"] == "completed"
     qf.solve(qf.off_axis_tension(size=40, displacement=10), estimate=False, out=journal)
     assert readable(tmp_path)["reached_mm"] == 10
+
+
+def test_a_folder_is_claimed_by_one_run(tmp_path):
+    """Eight runs of one case at once: with one --out only one runs, without it all do."""
+    case = ["oat", "--size", "80", "--displacement", "2", "--no-estimate"]
+
+    def at_once(*more):
+        start = [sys.executable, "-m", "quasiform", *case, *more]
+        pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
+        runs = [subprocess.Popen(start, cwd=tmp_path, **pipes) for _ in range(8)]
+        return [(*run.communicate(), run.returncode) for run in runs]
+
+    assert [status for _, _, status in at_once()] == [0] * 8
+    names = {f"oat-45{number}" for number in ("", *(f"-{i}" for i in range(2, 9)))}
+    assert {path.name for path in tmp_path.iterdir()} == names
+    for name in names:
+        assert readable(tmp_path / name)["status"] == "completed"
+    found = at_once("--out", "one")
+    assert sorted(status for _, _, status in found) == [0] + [2] * 7
+    refused = [error for _, error, status in found if status]
+    assert all("another run writes to" in e or "holds a result already" in e for e in refused)
+    assert readable(tmp_path / "one")["status"] == "completed"
+    assert not (tmp_path / "one/.lock").exists()
+
+
+def test_a_run_that_is_refused_leaves_no_folder(tmp_path):
+    with pytest.raises(qf.InputError, match="increment must be at least"):
+        qf.solve(forming(), increment=1e-6, out=tmp_path / "new/folder")
+    gc.collect()
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_result_is_kept_before_its_error_is_estimated(tmp_path, monkeypatch):
+    def killed(*arguments, **named):
+        raise KilledError
+
+    monkeypatch.setattr(dependence, "follow", killed)
+    with pytest.raises(KilledError):
+        qf.solve(forming(), out=tmp_path)
+    summary = readable(tmp_path)
+    assert summary["status"] == "completed"
+    assert summary["estimated_errors"]["force_N"] is None
+    for name in FILES:
+        assert (tmp_path / name).exists(), name
+    monkeypatch.undo()
+    result = qf.solve(forming(), out=tmp_path, resume=True)
+    assert readable(tmp_path)["estimated_errors"]["force_N"] == result.estimate["force_N"] > 0
+    assert not (tmp_path / "resume.npz").exists()

@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import re
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import asdict, astuple, dataclass, replace
 from importlib import import_module
@@ -19,7 +19,7 @@ from itertools import count
 from math import isfinite
 from pathlib import Path
 from time import perf_counter
-from typing import Annotated, Any, Literal, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_origin
 
 from cyclopts import App, CycloptsError, Group, Parameter, Token
 from cyclopts.exceptions import CoercionError, UnknownOptionError, UnusedCliTokensError
@@ -30,6 +30,9 @@ import quasiform as qf
 from ..checks import InputError, check_number, suggestion
 from . import terminal
 
+if TYPE_CHECKING:
+    from ..result.files import Claim
+
 app = App(
     name="quasiform",
     help="Implicit, quasi-static forming of dry 0°/90° biaxial non-crimp fabrics.",
@@ -39,6 +42,7 @@ app = App(
     default_parameter=Parameter(negative=(), json_list=False, json_dict=False),
     suppress_keyboard_interrupt=False,
 )
+CLAIMS: list[Claim] = []  # folders that the command writes to
 app.register_install_completion_command(help="Add completion to your shell's startup file.")
 
 
@@ -59,6 +63,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         message = "not enough memory: choose a larger --size"
     except KeyboardInterrupt:
         message, status = "interrupted: only what was written before is kept", 3
+    finally:
+        while CLAIMS:
+            CLAIMS.pop().release()
     print("quasiform:", message, file=sys.stderr)
     return status
 
@@ -202,7 +209,15 @@ class Output:
         """Folder to write to; refused where it holds one of the files."""
         from ..result.files import check_folder
 
-        return check_folder(self.out or _unused(_case(name)), force=self.force, names=files)
+        claim = self.claim(name)
+        CLAIMS.append(claim)
+        return check_folder(claim.folder, force=self.force, names=files)
+
+    def claim(self, name: str) -> Claim:
+        """Claim the folder for this command."""
+        from ..result.files import Claim, claim_new
+
+        return Claim(self.out) if self.out else claim_new(_numbered(_case(name)))
 
     def file(self, path: Path) -> Path:
         """File to write; refused where it exists."""
@@ -218,6 +233,8 @@ class Solver(Output):
 
     increment: Length | None = None
     """Travel of an increment; by default the program chooses it."""
+    no_estimate: bool = False
+    """Do not estimate the error of the mesh."""
     dry_run: bool = False
     """Print the model and the expected time; solve and write nothing."""
     linear: Literal["auto", "pardiso", "superlu"] = "auto"
@@ -595,7 +612,8 @@ def validate(
 
 # A run
 
-OPTIONS = ("increment", "accuracy", "linear", "seeds", "one_mesh")  # kept for `quasiform resume`
+# kept for `quasiform resume`
+OPTIONS = ("increment", "accuracy", "linear", "seeds", "one_mesh", "estimate")
 
 
 def _solve(
@@ -606,11 +624,13 @@ def _solve(
     one_mesh: bool = True,
 ) -> int:
     """Solve a model, or describe it."""
-    given = (solver.increment, accuracy, solver.linear, seeds, one_mesh)
+    if accuracy and solver.no_estimate:
+        raise InputError("--accuracy needs the error estimate: drop --no-estimate")
+    given = (solver.increment, accuracy, solver.linear, seeds, one_mesh, not solver.no_estimate)
     if not solver.dry_run:
-        folder = solver.out or _unused(_case(model.name))
         options = dict(zip(OPTIONS, given, strict=True))
-        return _run(model, qf.Journal(folder, options, force=solver.force))
+        journal = qf.Journal(solver.claim(model.name), options, force=solver.force)
+        return _run(model, journal)
     from . import forecast
 
     found = forecast.meshes(model, one_mesh, solver.linear, seeds or 0)
@@ -631,15 +651,16 @@ def _run(model: qf.Model, journal: qf.Journal) -> int:
     how = {"increment": options["increment"], "linear": options["linear"], "out": journal}
     with LiveProgress(model.travel) as callback:
         if options["one_mesh"]:
-            result = qf.solve(model, callback, **how)
+            result = qf.solve(model, callback, estimate=options["estimate"], **how)
         else:
+            how["estimate"] = options["estimate"]
             result = qf.refine(model, callback, options["accuracy"], **how)
-    if result.status == "completed" and options["seeds"]:
-        try:
-            qf.spread(result, range(1, options["seeds"] + 1))
-        except KeyboardInterrupt:
-            result = replace(result, reason="interrupted while perturbed starts were solved")
-        journal.close(result)
+        if result.status == "completed" and options["seeds"]:
+            try:
+                qf.spread(result, range(1, options["seeds"] + 1), callback=callback)
+            except KeyboardInterrupt:
+                result = replace(result, reason="interrupted while perturbed starts were solved")
+            journal.close(result)
     terminal.say(terminal.report(result, perf_counter() - clock))
     if (folder / RESUME).exists():
         terminal.say(f"continue with: quasiform resume {folder}")
@@ -660,5 +681,9 @@ def _case(name: str) -> str:
 
 def _unused(name: str, suffix: str = "") -> Path:
     """First of name, name-2, name-3, ... that does not exist."""
-    names = (f"{name}{suffix}" if i == 1 else f"{name}-{i}{suffix}" for i in count(1))
-    return next(path for path in map(Path, names) if not os.path.lexists(path))
+    return next(path for path in _numbered(name, suffix) if not os.path.lexists(path))
+
+
+def _numbered(name: str, suffix: str = "") -> Iterator[Path]:
+    """Name, name-2, name-3, ..."""
+    return (Path(f"{name}{suffix}" if i == 1 else f"{name}-{i}{suffix}") for i in count(1))

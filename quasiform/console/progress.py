@@ -44,7 +44,8 @@ class LiveProgress:
 
     def __init__(self, goal: float) -> None:
         self._step = Progress(0.0, goal, nan, 0.0, 0, 0, 0.0)
-        self._stage = ""
+        self._part: Progress | None = None
+        self._stage, self._begun = "", 0.0
         self._shown = time.perf_counter()
         self._console = Console(stderr=True)
         self._live = Live(get_renderable=self._row, console=self._console)
@@ -64,14 +65,22 @@ class LiveProgress:
 
     def stage(self, words: str) -> None:
         """Show what follows the travel."""
-        self._stage = words
+        self._stage, self._part, self._begun = words, None, time.perf_counter()
         if not self._live.is_started:
             print(words, file=sys.stderr, flush=True)
+
+    def step(self, step: Progress) -> None:
+        """Show how far that has come."""
+        self._part, self._shown = step, time.perf_counter()
+        if not self._live.is_started:
+            print(f"{self._stage}: {_words(step)}", file=sys.stderr, flush=True)
 
     def _row(self) -> Text:
         since = time.perf_counter() - self._shown
         if self._stage:
-            words = f"{self._stage}, {_clock(self._step.elapsed + since)} elapsed"
+            took = time.perf_counter() - self._begun
+            part = _words(self._part, since) if self._part else f"{_clock(took)} elapsed"
+            words = f"{self._stage}: {part}"
             return Text(words, no_wrap=True, overflow="crop")
         return _bar(self._step, self._console, since)
 

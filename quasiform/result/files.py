@@ -1,20 +1,79 @@
-"""The folder of a result: checked before a run, filled as it goes, or replaced as a whole."""
+"""The folder of a result: claimed by one run, filled as it goes, or replaced as a whole."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+import weakref
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from filelock import FileLock, Timeout
+
 from ..checks import InputError
 
 INCREMENTS = "increment_*.vtu"
+LOCK = ".lock"
 RESUME = "resume.npz"
 PICTURES = ("shear_angle.png", "history.png", "doubt.png")
 TABLES = ("summary.json", "history.csv", "outline.csv")
 FILES = (*TABLES, "result.vtu", "result.pvd", *PICTURES, RESUME)
+
+
+class Claim:
+    """A folder for one run at a time, made if it is missing.
+
+    The operating system frees the lock of a run that was killed. A folder into which nothing was
+    put is removed at the end.
+
+    Raises
+    ------
+    InputError
+        If another run writes to the folder, or it cannot be made.
+    """
+
+    def __init__(self, out: str | Path, *, new: bool = False) -> None:
+        self.folder = folder = Path(out)
+        missing = [path for path in (folder, *folder.parents) if not path.exists()]
+        with writing_to(folder):
+            folder.parent.mkdir(parents=True, exist_ok=True)
+            try:
+                folder.mkdir(exist_ok=not new)
+            except FileExistsError as error:
+                if new:
+                    raise FolderExistsError from error
+                raise InputError(f"cannot write to {folder}: it is not a folder") from error
+            lock = FileLock(folder.resolve() / LOCK, is_singleton=True)  # one a process
+            try:
+                lock.acquire(timeout=0)
+            except Timeout as error:
+                raise InputError(f"another run writes to {folder}: choose another one") from error
+        self.release = weakref.finalize(self, _free, lock, missing)
+
+
+class FolderExistsError(Exception):
+    """A folder that should be a new one."""
+
+
+def claim_new(names: Iterable[Path]) -> Claim:
+    """Claim the first of these folders that does not exist, whatever other runs do meanwhile."""
+    for path in names:
+        if not os.path.lexists(path):
+            with suppress(FolderExistsError):
+                return Claim(path, new=True)
+    raise InputError("no name is left for a new folder")
+
+
+def _free(lock: FileLock, missing: Sequence[Path]) -> None:
+    lock.release()
+    if lock.is_locked:  # by another run of this process
+        return
+    with suppress(OSError):
+        Path(lock.lock_file).unlink(missing_ok=True)
+    for path in missing:
+        with suppress(OSError):  # not empty
+            path.rmdir()
 
 
 def check_folder(out: str | Path, *, force: bool = False, names: Sequence[str] = FILES) -> Path:

@@ -40,8 +40,8 @@ def coarser_run(result: Result, settings: Settings, callback: Callback | None) -
         return []
     try:
         model = result.model.recipe.build(COARSER * result.model.size, like=result.model)
-        report(callback, f"error of the mesh: the same at {model.size:.3g} mm")
-        coarse = follow(model, settings, partial=False)
+        within = report(callback, f"error of the mesh: the same at {model.size:.3g} mm")
+        coarse = follow(model, settings, within, partial=False)
         result.add_work(coarse)
         if not coarse.reason:
             _vary_in_plane(result, coarse, settings, callback)
@@ -68,7 +68,7 @@ def finer_end(
         return None
     try:
         model = result.model.recipe.build(FINER * result.model.size, like=result.model)
-        report(callback, f"error of the mesh: the end at {model.size:.3g} mm")
+        within = report(callback, f"error of the mesh: the end at {model.size:.3g} mm")
         try:
             finer = carry(result, model, settings, saddles)
         except NotConvergedError as error:
@@ -76,7 +76,7 @@ def finer_end(
             if any(state is not None for state in result.memory):
                 result.notes.append(("end not found on a finer mesh", str(error)))
                 return None
-            finer = follow(model, settings, partial=False)  # no path to remember
+            finer = follow(model, settings, within, partial=False)  # no path to remember
     except InputError:
         return None
     except KeyboardInterrupt:
@@ -106,10 +106,10 @@ def _vary_in_plane(
     )  # the change, to first order
     if (other - r) * rate < LITTLE * coarse.energy:
         return
-    report(callback, f"the same with an in-plane bending of {other:g}")
+    within = report(callback, f"the same with an in-plane bending of {other:g}")
     given["fabric"] = replace(given["fabric"], in_plane_bending=other)
     recipe = replace(model.recipe, given=tuple(sorted(given.items())))
-    varied = follow(recipe.build(model.size, like=model), settings, partial=False)
+    varied = follow(recipe.build(model.size, like=model), settings, within, partial=False)
     result.add_work(varied)
     if not varied.reason:
         ends = coarse.quantities, varied.quantities

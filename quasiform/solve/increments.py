@@ -56,10 +56,14 @@ class Progress:
     measures: dict[str, float] = field(default_factory=dict)
 
 
-def report(callback: Callback | None, stage: str) -> None:
-    """Report what follows the travel to a callback that has a method `stage`."""
+def report(callback: Callback | None, stage: str) -> Callback | None:
+    """Report what follows the travel to a callback that has a method `stage`.
+
+    Returns its method `step`, if it has one, for the increments of that stage.
+    """
     if hasattr(callback, "stage"):
         callback.stage(stage)
+    return getattr(callback, "step", None)
 
 
 def follow(

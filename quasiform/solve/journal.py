@@ -26,7 +26,7 @@ import numpy as np
 from ..checks import FORMAT, InputError
 from ..model import Model
 from ..recipe import Recipe
-from ..result.files import FILES, RESUME, added, check_folder
+from ..result.files import FILES, RESUME, Claim, added, check_folder
 from ..result.run import Result, State
 from .run import Account, Run
 
@@ -38,8 +38,8 @@ class Journal:
 
     Parameters
     ----------
-    out : path
-        Made if missing.
+    out : path or Claim
+        Made if missing. Nobody else writes to it until the run is closed.
     options : dict, optional
         How the run was asked for, in numbers and text, for whoever continues it.
     force, resume : bool
@@ -48,25 +48,27 @@ class Journal:
     Raises
     ------
     InputError
-        If the folder cannot be written, holds a result already, or no run to be continued.
+        If the folder cannot be written, another run writes to it, or it holds a result already, or
+        no run to be continued.
     """
 
     def __init__(
         self,
-        out: str | Path,
+        out: str | Path | Claim,
         options: dict[str, Any] | None = None,
         *,
         force: bool = False,
         resume: bool = False,
     ) -> None:
-        self.folder, self.options = Path(out), options or {}
+        self._claim = out if isinstance(out, Claim) else Claim(out)
+        self.folder, self.options = self._claim.folder, options or {}
         self.recorded: dict[str, Any] = {}
         self.goal = ""  # what follows the travel, as a text
         self._rows = 0
         if resume:
             self._read()
         else:
-            check_folder(out, force=force)
+            check_folder(self.folder, force=force)
         for left in self.folder.glob(".new-*"):  # by a run that was killed
             rmtree(left, ignore_errors=True)
 
@@ -194,20 +196,27 @@ class Journal:
         self._rows = len(run.states)
         return recorded["step"], recorded["elapsed"]
 
-    def close(self, result: Result) -> None:
-        """Write the result; where that cannot be done, this becomes its `reason`."""
+    def keep(self, result: Result) -> None:
+        """Write a result whose error is not estimated yet; `quasiform resume` estimates it."""
         try:
             with added(self.folder, instead=() if self._rows else FILES) as staging:
                 result.write(staging)
+            self._rows = len(result.states)
             if result.model.outputs["pictures"]:
                 with added(self.folder) as staging:
                     result.draw(staging)
-            if not result.reason:
-                (self.folder / RESUME).unlink(missing_ok=True)
         except OSError as error:
             if "cannot write to" not in result.reason:
                 reasons = [result.reason, self._unwritable(error)]
                 result.reason = "; ".join(filter(None, reasons))
+
+    def close(self, result: Result) -> None:
+        """Write the result; where that cannot be done, this becomes its `reason`."""
+        self.keep(result)
+        if not result.reason:
+            with suppress(OSError):
+                (self.folder / RESUME).unlink(missing_ok=True)
+        self._claim.release()
 
 
 def _recipe(run: Run) -> dict[str, Any] | None:

@@ -56,7 +56,8 @@ def solve(
         Called with the `Progress` after each increment. It stops the run there by returning True,
         or the reason as a text. What it changes of the model's terms counts from the next
         increment on.
-        If it has a method `stage`, that is called with a text on what follows the travel.
+        If it has a method `stage`, that is called with a text on what follows the travel, and a
+        method `step` with the `Progress` of each increment of that.
     increment : float, optional
         Size of the increments in units of the travel; the model's own choice if not given.
         A history row is kept for each; else rows fall on the model's round values.
@@ -99,6 +100,8 @@ def solve(
     journal = out if isinstance(out, Journal) or out is None else Journal(out, resume=resume)
     result = follow(model, settings, callback, journal)
     if estimate and not result.reason:
+        if journal:
+            journal.keep(result)
         coarser = coarser_run(result, settings, callback)
         result.judge(coarser, finer_end(result, settings, callback))
     if journal:
@@ -113,6 +116,7 @@ def refine(
     increment: float | None = None,
     linear: str = "auto",
     tolerance: float = 1e-4,
+    estimate: bool = True,
     out: str | Path | Journal | None = None,
     resume: bool = False,
 ) -> Result:
@@ -125,7 +129,7 @@ def refine(
     accuracy : float, optional
         Halve the size until the estimated error of the 99th percentile of the shear angle is
         below it, degrees.
-    callback, increment, linear, tolerance, out, resume : optional
+    callback, increment, linear, tolerance, estimate, out, resume : optional
         As in `solve`, relative tolerance and increment in mm; the path is called back and recorded.
 
     Returns
@@ -149,7 +153,7 @@ def refine(
     settings = Settings(increment, linear=linear, tolerance=tolerance)
     journal = out if isinstance(out, Journal) or out is None else Journal(out, resume=resume)
     clock -= journal.recorded.get("elapsed", 0.0) if journal else 0.0
-    result = _refined(model, callback, accuracy, settings, journal)
+    result = _refined(model, callback, accuracy, settings, journal, estimate)
     _check_accuracy(result, accuracy)
     result.wall_s = time.perf_counter() - clock
     if journal:
@@ -180,6 +184,7 @@ def _refined(
     accuracy: float | None,
     settings: Settings,
     journal: Journal | None,
+    estimate: bool,
 ) -> Result:
     """Level by level, with the estimate."""
     models = [model]
@@ -194,7 +199,9 @@ def _refined(
         journal.goal = f" on a mesh of {models[0].size:g} mm, the way to one of {model.size:g} mm"
     path = follow(models[0], settings, callback, journal)
     levels = [path]
-    coarser = [] if path.reason else coarser_run(path, settings, callback)
+    if journal and estimate and len(models) == 1 and not path.reason:
+        journal.keep(path)
+    coarser = coarser_run(path, settings, callback) if estimate and not path.reason else []
     for finer in models[1:]:
         if levels[-1].reason:
             break
@@ -208,6 +215,10 @@ def _refined(
             levels[-1].reason = f"on a mesh of {finer.size:g} mm: {result.reason}"
             break
         levels.append(result)
+    if not estimate:
+        return levels[-1]
+    if journal and len(levels) > 1:
+        journal.keep(levels[-1])
     remembers = any(state is not None for state in levels[-1].memory)
     if levels[-1].path and coarser and remembers and not levels[-1].reason:
         levels[-1] = _with_path_gap(coarser[0], levels[-1], settings, callback)

@@ -11,14 +11,17 @@ from collections.abc import Sequence
 
 from ..checks import check_number
 from ..result.run import Result
-from .increments import follow
+from .increments import Callback, follow, report
 from .run import Settings
 
 AMPLITUDE = 0.01  # mm
 
 
 def spread(
-    result: Result, seeds: Sequence[int] = (1, 2, 3), amplitude: float = AMPLITUDE
+    result: Result,
+    seeds: Sequence[int] = (1, 2, 3),
+    amplitude: float = AMPLITUDE,
+    callback: Callback | None = None,
 ) -> dict[str, dict[str, float | bool]]:
     """Solve a model again from perturbed starts, and keep the scatter in the result.
 
@@ -32,6 +35,8 @@ def spread(
         One more run each.
     amplitude : float
         Standard deviation of the noise on the nodes, mm.
+    callback : callable, optional
+        Its methods `stage` and `step` are called as in `solve`.
 
     Returns
     -------
@@ -44,10 +49,11 @@ def spread(
     base = result.path or result
     known = {"increment", "method", "linear", "tolerance", "convex"}
     given = {name: value for name, value in base.settings.items() if name in known}
-    runs = [base] + [
-        follow(base.model, Settings(**given, perturbation=amplitude, seed=seed), partial=False)
-        for seed in seeds
-    ]
+    runs = [base]
+    for i, seed in enumerate(seeds, 1):
+        within = report(callback, f"perturbed start {i} of {len(seeds)}")
+        settings = Settings(**given, perturbation=amplitude, seed=seed)
+        runs.append(follow(base.model, settings, within, partial=False))
     ended = [run for run in runs if run.states[-1].travel == base.states[-1].travel]
     waves = [{k: v for k, v in run.wrinkles.items() if v is not None} for run in ended]
     found = [run.quantities | more for run, more in zip(ended, waves, strict=True)]
