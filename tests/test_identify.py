@@ -328,6 +328,41 @@ def test_the_surer_test_counts_for_more():
     assert error(curve.stress, "best-fit", 5.0, 28.0) < 5e-3
 
 
+# Zero, preload and the load cell
+
+
+def machine_csv(path, kind, law="locking", top=58.0, rows=400):
+    """A machine's record with 0.6 % noise: of a preload of 1 N or a load cell's level of 1 N.
+
+    The preload is there before the record starts, at a reading of 0.35 mm.
+    """
+    test = strip_test(law, top, rows=4000, low=0.0)
+    u, force = displacement(test.angles[0]), test.force
+    start = np.interp(1.0, force[:400], u[:400]) if kind == "preload" else 0.0
+    at = np.linspace(start, u[-1], rows)
+    measured = np.interp(at, u, force) + (1.0 if kind == "level" else 0.0)
+    measured *= 1 + 0.006 * np.random.default_rng(0).standard_normal(rows)
+    shift = 0.0 if kind == "clean" else 0.35 - start
+    table = [f"{i / 10};{x:.4f};{f:.4f}" for i, (x, f) in enumerate(np.c_[at + shift, measured])]
+    text = "\n".join(["Prüfzeit;Verschiebung;Kraft", "s;mm;N", *table]).replace(".", ",")
+    Path(path).write_text(text + "\n", encoding="utf-8")
+
+
+@pytest.mark.parametrize(("law", "top"), [("locking", 58.0), ("best-fit", 50.0)])
+@pytest.mark.parametrize("kind", ["clean", "preload", "level"])
+def test_a_machine_record_with_preload_and_offset(kind, law, top):
+    machine_csv("m.csv", kind, law, top)
+    found = qf.identify("m.csv")
+    assert set(states(found.fitted).values()) == {"fitted"}
+    assert found.fitted.misfit < 0.007
+    assert_allclose(values(found.fabric.shear), values(LAWS[law]), rtol=0.3)
+    assert found.fabric.shear.C_ini == pytest.approx(LAWS[law].C_ini, rel=0.03)
+    words = {"clean": "", "preload": "a preload of 1 N", "level": "a level of the load cell"}[kind]
+    (told,) = [n for n in found.notices if "shifted" in n] or [""]
+    assert words in told
+    assert ("--zero MM, --preload N" in told) == (kind != "clean")
+
+
 # Fit
 
 

@@ -16,7 +16,10 @@ angle = 45.0
 [[tests]]
 kind = "picture-frame"                  # side, fabric_side
 files = ["frame.csv"]
-to = 45.0                               # shear angles that are used, degrees
+to = 45.0                               # shear angles that are used, degrees (also: from)
+zero = 0.35                             # where the fabric is not strained, mm; "auto"
+preload = 1.0                           # force on it in the first row, N; "auto"
+cycle = "last"                          # or "first", "envelope", a number
 
 [[tests]]
 kind = "cantilever"                     # overhang and angle; or length and tip; or a profile
@@ -34,13 +37,14 @@ from pydantic import Discriminator, Field, StrictStr, Tag, create_model
 
 from ..checks import InputError, check_number, suggestion
 from ..fabric import Fabric, fabric_of
-from ..schema import OPEN, Table, checked, number, path, validated
+from ..schema import LARGEST, OPEN, Table, checked, number, path, validated
 from ..tables import read_numbers
 from ..toml_file import read_toml
 from .cantilever import Stiffness, from_profile, from_repeats, from_tip
-from .energy_method import Forces
-from .fit import ALGORITHMS, check_kept
-from .records import Curve, mean_of, read, rows_of
+from .energy_method import Forces, energy_method
+from .fit import ALGORITHMS, check_kept, fit
+from .loading import Part, rows_of
+from .records import Curve, mean_of, read
 from .specimen import OffAxis, PictureFrame, Specimen
 
 METHODS = {
@@ -51,9 +55,11 @@ METHODS = {
 }
 KINDS = {"off-axis": OffAxis, "picture-frame": PictureFrame}
 SIZES = {kind: tuple(f.name for f in fields(specimen)) for kind, specimen in KINDS.items()}
+OF_A_TEST = ("kind", "columns", "units", "from", "to", "zero", "preload", "cycle")
 SETTINGS = ("method", "keep", "algorithm", "size")
 VALUES = tuple(f.name for f in fields(Fabric) if f.name not in ("name", "provenance"))
 ASSUMED = "assumed: that of "  # begins the origin of a value that no test and no user gave
+SURE = 10.0  # twice the logarithm of a likelihood ratio that decides
 LOWEST = 0.5  # degrees: below, a specimen settles in its grips
 
 
@@ -122,13 +128,14 @@ def load(file: str | Path, **given: Any) -> Campaign:
     """Read a campaign from a TOML file, or from the CSV file of one test.
 
     `given` replaces method, keep, algorithm, size and name of a file. Of a CSV file it also has
-    kind, length, width, angle, side, fabric_side, thickness, columns, units, from, to.
+    kind, length, width, angle, side, fabric_side, thickness, columns, units, from, to, zero,
+    preload, cycle.
     """
     file = Path(file)
     sizes = [size for names in SIZES.values() for size in names]
     if file.suffix.lower() == ".toml":
         for key in given:
-            if key in (*sizes, "kind", "columns", "units", "thickness"):
+            if key in (*sizes, *OF_A_TEST, "thickness"):
                 where = "[fabric]" if key == "thickness" else "[[tests]]"
                 raise InputError(f"{file}: {key} belongs into the file, under {where}")
         return read_toml(file, lambda table: _campaign(table | given, file))
@@ -154,7 +161,24 @@ def _files(value: Any) -> list[str]:
     return files
 
 
+def auto(value: Any) -> float | None:
+    """Return a number, or None for "auto"."""
+    if value == "auto":
+        return None
+    if type(value) not in (int, float) or not abs(value) < LARGEST:
+        raise InputError(f"= {value!r}: expected a number or auto")
+    return float(value)
+
+
+def cycle(value: Any) -> str | int:
+    """Return which cycle of a record is used."""
+    if value not in CYCLES and not (type(value) is int and value > 0):
+        raise InputError(f"= {value!r}: expected {', '.join(CYCLES)} or a number from 1")
+    return value
+
+
 ANY = (Any, OPEN)
+CYCLES = ("last", "first", "envelope")
 
 
 class _Shear(Table):
@@ -163,6 +187,9 @@ class _Shear(Table):
     units: dict[str, StrictStr] = OPEN
     low: Annotated[number("Smallest shear angle", "deg", zero=True), Field(alias="from")] = LOWEST
     high: Annotated[number("Largest shear angle", "deg"), Field(alias="to")] = 90.0
+    zero: checked(auto) = None
+    preload: checked(auto) = None
+    cycle: checked(cycle) = None
 
 
 class _Cantilever(Table):
@@ -244,7 +271,9 @@ def _fabric(table: Table, folder: Path) -> Fabric:
 
 def _shear_test(test: _Shear, specimen: Specimen, paths: list[Path]) -> ShearTest:
     name = " + ".join(path.name for path in paths)
-    curve = mean_of([read(path, test.columns, test.units) for path in paths])
+    part = Part(test.zero, test.preload, test.cycle)
+    curves = [read(path, test.columns, test.units, part) for path in paths]
+    curve = mean_of([_borne(ShearTest(name, specimen, c, test.low, test.high)) for c in curves])
     if words := specimen.described(curve):
         names = [name for name in SIZES[test.kind] if getattr(specimen, name)]
         unset = [name for name in names if name not in test.model_fields_set]
@@ -253,6 +282,36 @@ def _shear_test(test: _Shear, specimen: Specimen, paths: list[Path]) -> ShearTes
     if curve.per_length and test.kind == "off-axis":
         raise InputError(f"{name}: a force per length is that of a picture frame, not of a strip")
     return ShearTest(name, specimen, curve, test.low, test.high).cut()
+
+
+def _borne(test: ShearTest) -> Curve:
+    """The record, less the force of its first row where that is the load cell's, not a preload.
+
+    Both readings are fitted. That of the load cell counts where it is `SURE` or identifies more.
+    """
+    curve, found = test.curve, []
+    if not curve.preload:
+        return curve
+    x, note = curve.displacement - curve.displacement[0], curve.notices[-1]
+    bare = replace(curve, displacement=x, force=curve.force - curve.preload)
+    try:
+        for each in (curve, bare):
+            forces = replace(test, curve=each).cut().forces(1.0)
+            fitted = fit([forces], energy_method([forces]))
+            off = (forces.predicted(fitted.law) - forces.force) / forces.sigma
+            states = [p.state for p in fitted.parameters]
+            found.append((len(off) * np.log(np.mean(off**2)), states.count("fitted")))
+    except InputError:  # reported where the test is used
+        return curve
+    (borne, many), (offset, more) = found
+    if offset - borne < (SURE if more > many else -SURE):
+        note = (
+            f"The force was shifted by {-curve.preload:.3g} N and the displacement to start at 0: "
+            "a level of the load cell fits this record better than a preload on the fabric"
+        )
+        curve = bare
+    words = f"{note.rstrip('.')} (--zero MM, --preload N)."
+    return replace(curve, notices=(*curve.notices[:-1], words))
 
 
 def _stiffness(test: _Cantilever, fabric: Fabric) -> Stiffness:

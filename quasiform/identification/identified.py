@@ -8,6 +8,7 @@ import json
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import astuple, dataclass, replace
 from datetime import date
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -77,7 +78,8 @@ class Identification:
             "format": FORMAT,
             "provenance": dict(self.fabric.provenance),
             "parameters": [
-                {k: None if v != v else v for k, v in vars(p).items()} for p in self.parameters
+                {k: v if isinstance(v, str) or isfinite(v) else None for k, v in vars(p).items()}
+                for p in self.parameters
             ],
             "stages_deg": None if self.fitted is None else list(self.fitted.stages),
             "notices": list(self.notices),

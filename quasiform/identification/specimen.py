@@ -81,37 +81,51 @@ class PictureFrame:
 
     side: float = 100.0  # L of the frame between its hinges, mm
     fabric_side: float | None = None  # of the sheared fabric, mm, where it is smaller
+    amplification: float | None = None  # displacement of the corner over that of the machine
 
     def __post_init__(self) -> None:
         check_number("side", self.side)
+        if self.amplification is not None:
+            check_number("amplification", self.amplification)
         if self.fabric_side is not None:
             check_number("fabric_side", self.fabric_side)
+            if self.fabric_side > self.side:
+                words = f"fabric_side must not exceed the side of the frame, {self.side:g} mm"
+                raise InputError(f"{words}, got {self.fabric_side:g}")
 
     def described(self, curve: Curve) -> str:
         """The specimen as text; empty where its sizes are not needed."""
         if curve.per_length and curve.shear_angle is not None:
             return ""
-        fabric = f", fabric of {self.fabric_side:g} mm" if self.fabric_side else ""
-        return f"frame of {self.side:g} mm sides{fabric}"
+        linkage = f", linkage of factor {self.amplification:g}" if self.amplification else ""
+        if self.fabric_side:
+            return f"frame of {self.side:g} mm sides, fabric of {self.fabric_side:g} mm{linkage}"
+        assumed = "filled by the fabric, where a smaller one gives a larger S12 (set fabric_side)"
+        return f"frame of {self.side:g} mm sides{linkage}, {assumed}"
+
+    def angles(self, u: FloatArray) -> FloatArray:
+        """(n,) shear angle of the hinged frame at displacements of its corner, mm; radians."""
+        return np.pi / 2 - 2.0 * np.arccos(np.minimum(np.sqrt(0.5) + u / (2.0 * self.side), 1.0))
 
     def angle(self, curve: Curve) -> FloatArray:
         """(n,) shear angle of the rows, radians: measured, or that of the hinged frame."""
         if curve.shear_angle is not None:
             return _angle(curve)
-        end = "the frame closes at {:.4g} mm: check the side of the frame"
-        u = _within(curve, (2 - np.sqrt(2.0)) * self.side, end)
-        return np.pi / 2 - 2.0 * np.arccos(np.sqrt(0.5) + u / (2.0 * self.side))
+        end, factor = "the frame closes at {:.4g} mm: check its side", self.amplification or 1.0
+        limit = (2 - np.sqrt(2.0)) * self.side / factor
+        return self.angles(factor * _within(curve, limit, end))
 
     def shares(self, curve: Curve, thickness: float, as_printed: bool = False) -> Shares:
         """Share of the only zone in the force, (1, n) in mm², and its angle, (1, n) in radians.
 
-        A force per length of fabric is F_sh = t0 S12 itself.
+        A force per length of fabric is F_sh = t0 S12 itself. The rate dγ/du of a measured angle is
+        that of the frame at this angle, times the slope of the one over the other.
         """
         gamma, fabric = self.angle(curve), self.fabric_side or self.side
         if curve.per_length:
             return np.full((1, len(gamma)), thickness), gamma[None]
         share = 2.0 * thickness * fabric**2 / self.side * np.cos(np.pi / 4 - gamma / 2)
-        return share[None], gamma[None]
+        return (self.amplification or 1.0) * share[None], gamma[None]
 
 
 Specimen = OffAxis | PictureFrame
