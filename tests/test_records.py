@@ -90,6 +90,32 @@ def test_headings_with_blanks_and_without(read, heading, columns):
     assert c.per_length
 
 
+@pytest.mark.parametrize("separator", [";", "\t", ",", "  "])
+@pytest.mark.parametrize(
+    "heading",
+    [
+        "Station 1 Displacement [mm]|Station 1 Force [N]|Time [s]",
+        "Channel 1: Displacement (mm)|Channel 2: Force (N)|Time",
+        "Specimen 4 of 12\nDisplacement [mm]|Force [N]|Time [s]",
+        "Station 1|Station 2|3 of 3\nDisplacement|Force|Time\nmm|N|s",
+        "10 20|Speed|of 2\nDisplacement [mm]|Force [N]|Time [s]",
+    ],
+)
+def test_headings_that_hold_figures(read, heading, separator):
+    table = rows(X, F, X + 1, separator=separator)
+    c = read(heading.replace("|", separator) + "\n" + table)
+    assert_allclose(c.displacement, X, rtol=1e-12)
+    assert_allclose(c.force, F, rtol=1e-12)
+
+
+def test_two_stations_are_a_choice(read, tmp_path):
+    text = "Displacement\tStation 1 Force (N)\tStation 2 Force (N)\n"
+    text += rows(X, F, 2 * F, separator="\t")
+    assert "(column 2) and 'Station 2 Force (N)' (column 3) may" in refused(read, tmp_path, text)
+    c = read(text, {"force": "Station 2 Force (N)"})
+    assert_allclose(c.force, 2 * F, rtol=1e-12)
+
+
 def test_quoted_decimal_commas(read):
     table = "\n".join(
         f'"{x},{f}"'.replace(",", '","').replace(".", ",") for x, f in zip(X, F, strict=True)

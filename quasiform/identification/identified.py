@@ -128,7 +128,13 @@ def identify(source: str | Path | Campaign, **given: Any) -> Identification:
     if campaign.shear:
         curve, fitted = _shear(campaign)
         shear = curve.law() if fitted is None else fitted.law
-        fabric = replace(fabric, shear=shear, shear_range=curve.high)
+        trusted, origin = max(test.trusted() for test in campaign.shear)
+        fabric = replace(fabric, shear=shear, shear_range=trusted)
+        if trusted < curve.high - 0.05:
+            notices.append(
+                f"shear_range ends at {trusted:.1f} degrees, the tests at {curve.high:.1f}: "
+                f"{origin} (--to DEG: as far as you trust it)"
+            )
         if fitted is not None:
             parameters += fitted.parameters
             notices += _remarks(fitted, curve)
@@ -176,7 +182,7 @@ def _in_state(fitted: Fit | None, state: str) -> str:
 
 def _tested(campaign: Campaign) -> list[str]:
     """Names of the values that follow from the tests."""
-    shear = ["shear", "shear_range"] if campaign.shear else []
+    shear = ["shear"] if campaign.shear else []
     return [*shear, *(f"bending_{family}" for family in campaign.bending)]
 
 
@@ -185,10 +191,12 @@ def _origins(campaign: Campaign, fitted: Fit | None) -> dict[str, str]:
     fabric = campaign.fabric
     origins = {name: str(fabric.provenance.get(name, f"{ASSUMED}{fabric.name}")) for name in VALUES}
     found = dict.fromkeys(_tested(campaign), campaign.standing)
-    for name in found.keys() - {"shear_range"}:
+    for name in found:
         divisor = "thickness" if name == "shear" else "areal_weight"
         if origins[divisor].startswith(ASSUMED):
             found[name] += f", with an assumed {divisor}"
+    if campaign.shear:
+        found["shear_range"] = max(test.trusted() for test in campaign.shear)[1]
     for state in ("kept", "not identified", "not tested"):
         if names := _in_state(fitted, state):
             found["shear"] += f"; {state}: {names}"

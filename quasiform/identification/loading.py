@@ -177,8 +177,7 @@ def _from_zero(
     """
     x, f = rows[:2]
     if part.preload is not None:
-        start = _toe(x, f)[1]
-        f = f + (part.preload - start)
+        start, f = f[0], f + (part.preload - f[0])
         words = f"from {measured(force, start)} in the first row to {measured(force, part.preload)}"
         notices.append(f"The force was shifted, {words}, the preload that was given.")
     elif part.zero is None and (slack := _slack(x, f)):

@@ -1,8 +1,8 @@
 """Measured curves of off-axis tension and picture-frame tests, read from a laboratory's CSV.
 
 What a machine exports becomes the loading part of the test (`loading`) with a standard deviation
-for each force. `Curve.notices` reports everything that is inferred, converted, cut or shifted; what cannot be
-decided is refused.
+for each force. `Curve.notices` reports everything that is inferred, converted, cut or shifted; what
+cannot be decided is refused.
 """
 
 from __future__ import annotations
@@ -63,8 +63,8 @@ def read(
 
     A force or a shear_force is needed, and a displacement or a shear_angle. `columns` has the
     heading, or the position from "1", of a quantity whose heading is not recognised or not the only
-    one; a file without headings needs positions. `units` go over those of the file. `part` says which
-    cycle is used, and where the curve begins.
+    one; a file without headings needs positions. `units` go over those of the file. `part` says
+    which cycle is used, and where the curve begins.
     """
     notices: list[str] = []
     columns, units = dict(columns or {}), dict(units or {})
