@@ -25,6 +25,11 @@ cycle = "last"                          # or "first", "envelope", a number
 kind = "cantilever"                     # overhang and angle; or length and tip; or a profile
 family = "warp"
 overhang = [166.0, 163.0]
+
+[[tests]]
+kind = "bending"                        # moment over curvature of a pure-bending tester
+family = "weft"
+moments = "moment.csv"
 """
 
 from collections.abc import Iterator, Mapping
@@ -36,7 +41,7 @@ import numpy as np
 from pydantic import Discriminator, Field, StrictStr, Tag, create_model
 
 from ..checks import InputError, check_number, suggestion
-from ..fabric import Fabric, fabric_of
+from ..fabric import Fabric, MomentCurve, fabric_of
 from ..schema import LARGEST, OPEN, Table, checked, number, path, validated
 from ..tables import read_numbers
 from ..toml_file import read_toml
@@ -44,6 +49,7 @@ from .cantilever import Stiffness, from_profile, from_repeats, from_tip
 from .energy_method import Forces, energy_method
 from .fit import ALGORITHMS, check_kept, fit
 from .loading import Part, rows_of
+from .moment import read_moments
 from .records import Curve, mean_of, read
 from .specimen import OffAxis, PictureFrame, Specimen
 
@@ -135,7 +141,7 @@ class Campaign:
     name: str
     fabric: Fabric  # of what the tests do not say; its provenance may say where a value comes from
     shear: tuple[ShearTest, ...] = ()
-    bending: Mapping[str, Stiffness] = field(default_factory=dict)  # of "warp" and "weft"
+    bending: Mapping[str, Stiffness | MomentCurve] = field(default_factory=dict)  # by family
     method: str = "fit"  # a key of METHODS
     keep: Mapping[str, float] = field(default_factory=dict)  # parameters that are not fitted
     algorithm: str = "least-squares"
@@ -236,6 +242,12 @@ class _Cantilever(Table):
     profile: path("Table of x and drop, mm") = OPEN
 
 
+class _Bending(Table):
+    kind: Literal["bending"]
+    family: Literal["warp", "weft"]
+    moments: path("Table of curvature and moment per width, with their units")
+
+
 def kind(table: Any) -> str | None:
     """Which model a test has."""
     return str(table.get("kind")) if isinstance(table, Mapping) else None
@@ -248,7 +260,8 @@ _STRIP, _FRAME = (
 TEST = Annotated[
     Annotated[_STRIP, Tag("off-axis")]
     | Annotated[_FRAME, Tag("picture-frame")]
-    | Annotated[_Cantilever, Tag("cantilever")],
+    | Annotated[_Cantilever, Tag("cantilever")]
+    | Annotated[_Bending, Tag("bending")],
     Discriminator(kind),
 ]
 NAMES = ("thickness", "areal_weight", "bending_warp", "bending_weft", "friction")
@@ -273,11 +286,13 @@ def _campaign(table: Mapping[str, Any], file: Path) -> Campaign:
     shear, bending, sources = [], {}, [file]
     for i, test in enumerate(given.tests, start=1):
         try:
-            if isinstance(test, _Cantilever):
+            if isinstance(test, _Cantilever | _Bending):
                 if test.family in bending:
                     raise InputError(f"family {test.family!r} is there twice: give its repeats")
-                bending[test.family] = _stiffness(test, fabric)
-                sources += [test.profile] if test.profile else []
+                bent = isinstance(test, _Bending)
+                own = test.moments if bent else test.profile
+                bending[test.family] = read_moments(own) if bent else _stiffness(test, fabric)
+                sources += [own] if own else []
                 continue
             keys = test.model_dump(include=set(SIZES[test.kind]), exclude_unset=True)
             specimen = KINDS[test.kind](**keys)
@@ -295,7 +310,8 @@ def _fabric(table: Table, folder: Path) -> Fabric:
     base = str(table.base)
     fabric = fabric_of(folder / base if base.endswith(".toml") else base)
     given = table.model_dump(exclude_unset=True, exclude={"base"})
-    origins = dict.fromkeys(VALUES, f"{ASSUMED}{fabric.name}")
+    there = [name for name in VALUES if getattr(fabric, name) is not None]
+    origins = dict.fromkeys(there, f"{ASSUMED}{fabric.name}")
     for name in origins.keys() & fabric.provenance.keys():
         known = str(fabric.provenance[name])
         passed_on = known.startswith((ASSUMED, "that of "))
