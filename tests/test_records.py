@@ -108,6 +108,11 @@ def test_headings_that_hold_figures(read, heading, separator):
     assert_allclose(c.force, F, rtol=1e-12)
 
 
+def test_positions_below_a_heading_of_figures(read):
+    c = read(f"Cell,1,2\n{rows(X, F, X + 1)}", {"displacement": "1", "force": "2"})
+    assert_allclose(c.force, F, rtol=1e-12)
+
+
 def test_two_stations_are_a_choice(read, tmp_path):
     text = "Displacement\tStation 1 Force (N)\tStation 2 Force (N)\n"
     text += rows(X, F, 2 * F, separator="\t")
