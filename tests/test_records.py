@@ -489,6 +489,12 @@ def test_the_envelope_of_growing_cycles(read):
     assert np.diff(c.displacement).max() < 1.5
 
 
+def test_an_approach_is_no_cycle(read, tmp_path):
+    x = np.r_[np.arange(8.0, 0.0, -0.5), LONG]
+    message = refused(read, tmp_path, curve(x, np.r_[np.zeros(16), law(LONG)]))
+    assert "displacement is not monotone: goes back by 8 mm" in message
+
+
 def test_a_cycle_that_is_not_there(read, tmp_path):
     for text, words in ((curve(*cycles(40.0, 40.0)), "2 cycles"), (curve(X, F), "1 cycle")):
         message = refused(read, tmp_path, text, part=Part(cycle=5))

@@ -104,8 +104,8 @@ def identify(source: str | Path | Campaign, **given: Any) -> Identification:
         CSV file of one test, TOML file of a campaign (`identification.campaign`), or a `Campaign`.
     **given
         As `identification.campaign.load`: method ("fit", "inverse", "table" or "as-printed"), keep,
-        algorithm, size; of a CSV file also kind, thickness, columns, units, from, to, zero, preload,
-        cycle and the sizes of its specimen.
+        algorithm, size; of a CSV file also kind, thickness, columns, units, from, to, zero,
+        preload, cycle and the sizes of its specimen.
 
     Returns
     -------

@@ -94,7 +94,8 @@ def _turns(x: FloatArray) -> list[tuple[int, int]]:
             if low - found[-1][1] <= 2:  # a jump: `_ahead` refuses it
                 low = found.pop()[0]
             high, rising = k, True
-    return [*found, (low, high)] if rising else found
+    turns = [*found, (low, high)] if rising else found
+    return [(low, high) for low, high in turns if x[high] - x[low] > back]
 
 
 def _one_cycle(
@@ -102,7 +103,8 @@ def _one_cycle(
 ) -> np.ndarray:
     """Rows of the cycle that is used; all rows of a record of a single loading."""
     turns = _turns(x)
-    count, words = len(turns), f"{len(turns)} cycles" if len(turns) > 1 else "1 cycle"
+    count = max(len(turns), 1)
+    words = f"{count} cycles" if count > 1 else "1 cycle"
     if str(cycle).isdecimal() and not 1 <= int(cycle) <= count:
         raise InputError(f"cycle {cycle} is not in the record, which has {words}")
     if count < 2:
