@@ -251,10 +251,10 @@ def _provenance(
 
 
 def _write(path: Path, head: Iterable[str], rows: Iterable[Iterable[Any]]) -> None:
-    """Write a CSV file; the cell of an unknown number is empty."""
+    """Write a CSV file; the cell of a number that is unknown or has no bound is empty."""
 
     def cell(value: Any) -> Any:
-        return f"{value:.8g}".replace("nan", "") if isinstance(value, float) else value
+        return value if not isinstance(value, float) else f"{value:.8g}" if isfinite(value) else ""
 
     with path.open("w", newline="", encoding="utf-8") as file:
         csv.writer(file).writerows([head, *(map(cell, row) for row in rows)])
