@@ -250,7 +250,8 @@ def _assemble(model: Model, file: SceneFile, tools: list[Tool], outline: shapely
     model.resting += sum(g.tension for g in file.grippers)
     model.resting += file.gravity * 1e-6 * GRAVITY * fabric.areal_weight * blank.areas.sum()
     pulls = grips(model, file, outline)
-    bent = bending_terms(bending)
+    if len(bent := bending_terms(bending)) > 1:
+        model.description.append((bent[1].name, "moment_warp or moment_weft of the fabric"))
     model.terms = [membrane_of(sheet), *bent, *contacts, *frictions, *weights, *pulls]
 
 
