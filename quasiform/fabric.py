@@ -244,6 +244,48 @@ class TabulatedLaw:
         return stiffness, stress, stress.antiderivative()
 
 
+@dataclass(frozen=True)
+class MomentCurve:
+    """Moment over curvature of fibres that slide in a bent fabric, so that it softens.
+
+    Odd, smooth and increasing, as `TabulatedLaw`; beyond its last point a straight line.
+
+    Parameters
+    ----------
+    curvature : (n,) sequence
+        1/mm, strictly increasing, n >= 3 beside the origin.
+    moment : (n,) sequence
+        Per width, N, strictly increasing.
+
+    Raises
+    ------
+    InputError
+        For a curve that is too short or not increasing; the message names the entry.
+    """
+
+    curvature: tuple[float, ...]
+    moment: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        try:
+            law = self.law
+        except InputError as error:
+            words = str(error).replace("I6", "curvature").replace("S12", "moment")
+            raise InputError(words) from error
+        object.__setattr__(self, "curvature", law.I6)
+        object.__setattr__(self, "moment", law.S12)
+
+    @cached_property
+    def law(self) -> TabulatedLaw:
+        """The same curve: its `stress` is the moment, N, its `stiffness` the slope, N mm."""
+        return TabulatedLaw(self.curvature, self.moment)
+
+    @property
+    def initial(self) -> float:
+        """Bending stiffness of the flat fabric, N mm."""
+        return float(self.law.stiffness(0.0))
+
+
 def _parabola(h: FloatArray, D: FloatArray) -> FloatArray:
     """(n - 1,) slopes at the inner knots of parabolas, from (n,) widths h and secants D."""
     return (h[1:] * D[:-1] + h[:-1] * D[1:]) / (h[1:] + h[:-1])
@@ -266,6 +308,7 @@ def _increasing(name: str, values: Any) -> tuple[float, ...]:
 _TENSION = ThreeStageLaw(C_ini=1000.0)
 _POSITIVE = ("thickness", "compaction", "shear_range")
 _MAY_BE_ZERO = ("bending_warp", "bending_weft", "friction", "areal_weight", "in_plane_bending")
+_MOMENTS = ("moment_warp", "moment_weft")
 _MD600 = {"C_ini": 0.334, "S_ini": 0.00386, "C_mid": 0.00196, "dS_mid": 0.0399}
 PRESETS = {
     "locking": {"C_lo": 1000.0, "I_lo": 0.819},
@@ -289,6 +332,9 @@ class Fabric:
         t0, mm. All moduli are per reference volume and are multiplied by it.
     bending_warp, bending_weft : float
         B11 and B22, N mm (mJ mm/mm² of curvature squared, per width).
+    moment_warp, moment_weft : MomentCurve or None
+        Measured moment over curvature where the bending is not linear (`energy.softening`);
+        `bending_warp` or `bending_weft` is then its slope at zero, of the flat fabric.
     friction : float
         Coulomb coefficient between fabric and tools (stated by the paper).
     areal_weight : float
@@ -323,6 +369,8 @@ class Fabric:
     compaction: float = 10.0
     in_plane_bending: float = 0.03
     shear_range: float = 57.0
+    moment_warp: MomentCurve | None = None
+    moment_weft: MomentCurve | None = None
     provenance: Mapping[str, str | float] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
@@ -333,6 +381,10 @@ class Fabric:
             if not isinstance(law := getattr(self, name), kinds):
                 words = f"a {' or a '.join(kind.__name__ for kind in kinds)}"
                 raise InputError(f"Fabric({name}=...) must be {words}, got {type(law).__name__}")
+        for name in _MOMENTS:
+            if not isinstance(curve := getattr(self, name), MomentCurve | None):
+                words = f"must be a MomentCurve, got {type(curve).__name__}"
+                raise InputError(f"Fabric({name}=...) {words}")
         for name in (*_POSITIVE, *_MAY_BE_ZERO):
             zero_allowed = name in _MAY_BE_ZERO
             check_number(f"Fabric({name}=...)", getattr(self, name), zero_allowed=zero_allowed)
@@ -362,7 +414,7 @@ class Fabric:
 
     def written(self) -> dict[str, Any]:
         """Return the fabric as plain numbers and texts, for a recipe."""
-        table = asdict(self)
+        table = {key: value for key, value in asdict(self).items() if value is not None}
         for law in ("shear", "warp", "weft"):
             table[law] = {k: v for k, v in table[law].items() if v is not None}
         return table
@@ -393,6 +445,8 @@ def _fabric(table: dict[str, Any]) -> Fabric:
                 words = f"{point} is of a table, {mixed[0]} of a three-stage law"
                 raise InputError(f"[{key}] {words}: give one of the two")
         table[key] = _checked(kind, numbers, key)
+    for key in set(_MOMENTS) & table.keys():
+        table[key] = _checked(MomentCurve, table[key], key)
     return _checked(Fabric, table)
 
 

@@ -43,6 +43,8 @@ class Model:
     travel, increment, rows : float
         Where to end, the largest increment that the program chooses, and of what the travel of a
         history row is a multiple, mm (or load factor).
+    every : bool
+        Whether every other converged increment is a row too.
     travel_name : str
         Column of the travel in the history.
     share : float
@@ -84,6 +86,7 @@ class Model:
     travel: float
     increment: float
     rows: float
+    every: bool = False
     travel_name: str = "displacement_mm"
     share: float = 1.0
     resting: float = 0.0

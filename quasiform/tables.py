@@ -73,6 +73,7 @@ _NAME_UNIT = (  # what a heading may look like, its name and its unit
     re.compile(rf"(.+?)(?:\s+in)?[\s_/,:]+({_UNIT})", re.IGNORECASE),  # force_N, Kraft in N
     re.compile(r"([^/]+?)\s*/\s*(\S+)"),  # Force/kp
 )
+_CHANNEL = re.compile(r"(station|channel|kanal)[\s_]*\d+[\s_:.-]+(?=\w)", re.IGNORECASE)
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf)", re.IGNORECASE)
 
 
@@ -106,8 +107,9 @@ def read_rows(path: Path) -> list[Row]:
     lines = [(k, re.sub(r"\s#.*", "", s) if s[0] in "+-.0123456789" else s) for k, s in lines]
     best, most = None, 0
     for separator in (";", "\t", None, ","):
-        count = sum(is_numeric(_split(line, separator)) for _, line in lines[:SAMPLE])
-        if count > most:
+        table = (_split(line, separator) for _, line in lines[:SAMPLE])
+        widths = Counter(len(cells) for cells in table if is_numeric(cells))
+        if (count := max(widths.values(), default=0)) > most:
             best, most = separator, count
     if not most:
         raise InputError("no rows of two or more numbers")
@@ -117,7 +119,8 @@ def read_rows(path: Path) -> list[Row]:
         widths = Counter(len(cells) for cells in table if is_numeric(cells))
         width = widths.most_common(1)[0][0]
         for k, cells in enumerate(table):
-            table[k] = cells if is_numeric(cells) else _heading(bare[k], width)
+            wrong = len(cells) != width and not all(map(is_number, cells))
+            table[k] = _heading(bare[k], width) if wrong or not is_numeric(cells) else cells
     return [
         Row(k, line[0] in "#%", _filled(cells), len(cells))
         for (k, line), cells in zip(lines, table, strict=True)
@@ -157,9 +160,16 @@ def is_numeric(cells: list[str]) -> bool:
 
 
 def first_of_numbers(rows: list[Row]) -> int:
-    """Place of the first row of numbers that is not a comment."""
-    for k, row in enumerate(rows):
-        if is_numeric(row.cells) and not row.comment:
+    """Place of the first row of numbers that is not a comment.
+
+    A heading may hold two figures, but among words where most rows have numbers.
+    """
+    numeric = [k for k, row in enumerate(rows) if is_numeric(row.cells) and not row.comment]
+    places = Counter(j for k in numeric for j, cell in enumerate(rows[k].cells) if is_number(cell))
+    usual = [j for j, count in places.items() if 2 * count > len(numeric)]
+    for k in numeric:
+        cells = dict(enumerate(rows[k].cells))
+        if all(not cells.get(j) or is_number(cells[j]) for j in usual):
             return k
     raise InputError("no rows of two or more numbers that are not comments")
 
@@ -196,6 +206,7 @@ def plain(name: str) -> str:
 
 def name_unit(heading: str) -> tuple[str, str | None]:
     """Plain name and unit of a heading such as Force [kN]."""
+    heading = _CHANNEL.sub("", heading)
     if plain(heading) not in FIRST_NAMES | SECOND_NAMES and len(heading) < 200:
         for match in (pattern.fullmatch(heading) for pattern in _NAME_UNIT):
             if match:

@@ -284,6 +284,48 @@ def _cantilever(k: float, load_beyond: Callable[[NDArray], NDArray]) -> sp.optim
     return solution
 
 
+def heavy_strip(
+    length: float, weight: float, curvature: NDArray, moment: NDArray
+) -> tuple[float, float, float]:
+    """Free end of a strip under its own weight whose moment is not proportional to its curvature.
+
+    As `heavy_elastica`, with ``M' = -w (L - s) cos(theta)``, ``theta' = kappa(M)``, M(L) = 0. The
+    moment at the clamp is found by shooting.
+
+    Parameters
+    ----------
+    length, weight : float
+        Free length [mm] and weight per area [N/mm^2].
+    curvature, moment : ndarray
+        Points of the curve from (0, 0), both increasing [1/mm, N], linear between and beyond them.
+
+    Returns
+    -------
+    x, drop, slope : float
+        Reach and drop of the free end [mm], and its slope below the horizontal [rad].
+    """
+    slope = (curvature[-1] - curvature[-2]) / (moment[-1] - moment[-2])
+
+    def kappa(M: float) -> float:
+        beyond = max(abs(M) - moment[-1], 0.0) * slope
+        return np.sign(M) * (np.interp(abs(M), moment, curvature) + beyond)
+
+    def rates(s: float, state: NDArray) -> list[float]:
+        theta, M = state[:2]
+        turn, weighs = kappa(M), weight * (length - s)
+        return [turn, -weighs * np.cos(theta), np.cos(theta), np.sin(theta)]
+
+    def end(clamp: float) -> NDArray:
+        start = [0.0, clamp, 0.0, 0.0]
+        run = sp.integrate.solve_ivp(rates, (0.0, length), start, rtol=1e-8, atol=1e-10)
+        return run.y[:, -1]
+
+    most = weight * length**2 / 2  # of a strip that does not bend
+    clamp = sp.optimize.brentq(lambda M: end(M)[1], 0.0, most, xtol=1e-12 * most, rtol=1e-12)
+    theta, _, x, drop = end(clamp).tolist()
+    return x, drop, theta
+
+
 def hemisphere_net(a: ArrayLike, b: ArrayLike, radius: float) -> NDArray:
     """Shear angle of an inextensible net on a sphere, with the sign of a b, shape (...) [rad].
 

@@ -708,6 +708,8 @@ def test_the_commands_of_the_readme_are_accepted(capsys, here):
         (here / f"{name}.csv").write_text(table, encoding="utf-8")
     rows = [f"{k};{a:.4f};{4e-3 * a**0.5:.7f}" for k, a in enumerate(u)]
     (here / "frame.csv").write_text("\n".join(["no;Way (mm);F", *rows]), encoding="utf-8")
+    moments = "curvature [1/m],moment [N]\n2.39,0.2849\n8.86,0.344\n17.7,0.375\n"
+    (here / "moment.csv").write_text(moments, encoding="utf-8")
     (here / "my-fabric.toml").write_text(campaign, encoding="utf-8")
     a, z = np.radians(np.arange(0, 360, 10)), np.radians(np.arange(-80, 81, 10))
     ring = np.stack(

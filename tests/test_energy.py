@@ -28,9 +28,10 @@ from quasiform.energy.contact import (
 from quasiform.energy.friction import STICK, Friction
 from quasiform.energy.gripper import Grip
 from quasiform.energy.membrane import Membrane, PairedMembrane
+from quasiform.energy.softening import Softening
 from quasiform.energy.term import Term
 from quasiform.energy.weight import GRAVITY, SheetWeight, ToolWeight
-from quasiform.fabric import Fabric, ThreeStageLaw
+from quasiform.fabric import Fabric, MomentCurve, ThreeStageLaw
 from quasiform.net.blank import rectangle, rotation
 from quasiform.potential import Potential
 from quasiform.tools.shapes import (
@@ -60,6 +61,11 @@ FABRIC = replace(
     in_plane_bending=0.2,
 )
 ROUND = replace(FABRIC, in_plane_bending=1.0)
+SOFTENS = replace(  # within the curvatures of a sheet that is `deformed`
+    FABRIC,
+    moment_warp=MomentCurve((0.005, 0.02, 0.05), (0.017, 0.04, 0.06)),
+    moment_weft=MomentCurve((0.01, 0.03, 0.04), (0.019, 0.03, 0.035)),
+)
 STIFF = Fabric.preset("locking")
 SHAPES = {
     "plane": Plane(),
@@ -227,6 +233,11 @@ def bending(blank, clamp=False, fabric=FABRIC):
     return Case(Bending(sheet_of(blank, fabric), clamped), deformed(blank))
 
 
+def softening(blank, clamp=False):
+    linear = bending(blank, clamp, SOFTENS)
+    return replace(linear, term=Softening(linear.term))
+
+
 def contact(name, sort="at nodes", tilts=False):
     """With a tool that tilts, it has tilted already and stands beside the z axis."""
     blank = BLANKS["aligned"] if sort == "at nodes" else in_pieces(BLANKS["aligned"])
@@ -278,6 +289,8 @@ FREE = {
     "patch bending": patch_bending,
     "bending": lambda: bending("aligned"),
     "bending, cut": lambda: bending("cut"),
+    "softening": lambda: softening("aligned"),
+    "softening, cut": lambda: softening("cut"),
     "bending alike in every direction": lambda: bending("aligned", fabric=ROUND),
 }
 SIMPLE = {
@@ -300,6 +313,7 @@ ON_TOOLS = SIMPLE | {
 HELD = {
     "bending, clamped": lambda: bending("aligned", clamp=True),
     "bending, mirrored": lambda: bending("quarter"),
+    "softening, clamped": lambda: softening("aligned", clamp=True),
     "bending alike in every direction, clamped": lambda: bending("aligned", True, ROUND),
     "weight of the sheet": sheet_weight,
     "weight of a tool": tool_weight,

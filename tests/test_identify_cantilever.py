@@ -6,9 +6,12 @@ from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
+from quasiform import Fabric, identify, solve
 from quasiform.checks import InputError
+from quasiform.fabric import MomentCurve
 from quasiform.identification.cantilever import from_overhang, from_profile, from_repeats, from_tip
-from quasiform.theory import heavy_elastica, heavy_elastica_shape
+from quasiform.scenes.fabric_tests import cantilever
+from quasiform.theory import heavy_elastica, heavy_elastica_shape, heavy_strip
 
 B, AREAL_WEIGHT = 3.403, 600.0
 W = 600.0e-3 * 9.81 / 1e6  # N/mm², from kg/m² and m/s²
@@ -225,3 +228,80 @@ def test_a_little_stretch_of_the_tape_is_forgiven():
     x, drop, _ = heavy_elastica(droop(165.0))
     reach = 165.0 * np.hypot(x, drop)
     assert from_tip(x * 165.0, drop * 165.0, reach / 1.019, AREAL_WEIGHT).misfit > 1.0
+
+
+# Moment over curvature
+
+SOFT = np.array([[2.39, 0.2849], [8.86, 0.344], [17.7, 0.375]])  # 1/m, N; Broberg et al. 2024
+
+
+def bending_campaign(folder, table, heading="curvature [1/m],moment [N]"):
+    np.savetxt(folder / "moment.csv", table, "%.9g", ",", header=heading, comments="")
+    path = folder / "b.toml"
+    test = '[[tests]]\nkind = "bending"\nfamily = "weft"\nmoments = "moment.csv"\n'
+    path.write_text(f'name = "soft"\n{test}', encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("many", [False, True])
+def test_a_measured_softening_comes_back(tmp_path, many):
+    table = SOFT
+    curve = MomentCurve(tuple(1e-3 * SOFT[:, 0]), tuple(SOFT[:, 1]))
+    if many:
+        kappa = np.linspace(0.1, 17.7, 200)
+        noise = 1 + 0.01 * np.random.default_rng(0).standard_normal(200)
+        table = np.column_stack([kappa, noise * curve.law.stress(1e-3 * kappa)])
+    found = identify(bending_campaign(tmp_path, table))
+    fabric = found.fabric
+    kappa = np.linspace(1.0, 17.7, 50)
+    expected = np.interp(kappa, *SOFT.T) if not many else curve.law.stress(1e-3 * kappa)
+    measured = fabric.moment_weft.law.stress(1e-3 * kappa)
+    assert_allclose(measured[kappa > 2.4], expected[kappa > 2.4], rtol=0.05)
+    assert_allclose(fabric.moment_weft.law.stress(1e-3 * SOFT[:, 0]), SOFT[:, 1], rtol=0.05)
+    assert fabric.bending_weft == fabric.moment_weft.initial == pytest.approx(119.2, rel=0.1)
+    assert fabric.moment_warp is None
+    assert fabric.provenance["moment_weft"] == fabric.provenance["bending_weft"] == "measured"
+    assert any("times less than by it (moment_weft)" in notice for notice in found.notices)
+    found.save(tmp_path / "out")
+    assert Fabric.load(tmp_path / "out/material.toml") == fabric
+
+
+@pytest.mark.parametrize(
+    ("heading", "table", "words"),
+    [
+        ("curvature,moment [N]", SOFT, "unit of the curvature missing: expected one of 1/mm"),
+        ("curvature [1/m],moment [kg]", SOFT, "unit of the moment kg: expected one of N"),
+        ("curvature [1/m],moment [N]", SOFT[:1], "needs at least 4 points"),
+        ("curvature [1/m],moment [N]", SOFT * [1, -1], "no positive moment"),
+        ("curvature [1/m],moment [N]", SOFT * [1, 0] + [0, 1], r"moment\[1\] must be greater"),
+    ],
+)
+def test_a_wrong_moment_curve_is_refused(tmp_path, heading, table, words):
+    with pytest.raises(InputError, match=words) as caught:
+        identify(bending_campaign(tmp_path, table, heading))
+    assert "moment.csv: " in str(caught.value)
+    assert "I6" not in str(caught.value)
+
+
+def test_a_softening_strip_hangs_as_the_elastica_of_its_moments():
+    length, curve = 160.0, MomentCurve((0.002, 0.008, 0.03), (0.0068, 0.018, 0.03))
+    fabric = Fabric(bending_warp=curve.initial, moment_warp=curve)
+    kappa = np.linspace(0.0, 0.06, 2000)
+    x, drop, _ = heavy_strip(length, W, kappa, curve.law.stress(kappa))
+    linear = heavy_elastica(W * length**3 / curve.initial)
+    assert drop > 1.2 * length * linear[1]
+    off = []
+    for size in (10.0, 5.0):
+        model = cantilever(length, W, law=fabric, size=size)
+        formed = solve(model, estimate=False).positions()
+        tip = formed[np.isclose(model.sheet.blank.nodes[:, 0], length)].mean(0)
+        off.append(np.hypot(tip[0] - x, -tip[2] - drop))
+    assert off[1] < 0.01 * length
+    assert off[1] < 0.4 * off[0]
+
+
+def test_a_linear_moment_is_the_heavy_elastica():
+    length = 165.0
+    x, drop, slope = heavy_strip(length, W, np.array([0.0, 0.01]), np.array([0.0, 0.01 * B]))
+    expected = np.array(heavy_elastica(W * length**3 / B)) * [length, length, 1.0]
+    assert_allclose([x, drop, slope], expected, rtol=1e-6)

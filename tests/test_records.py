@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from quasiform.checks import InputError
 from quasiform.identification import records
+from quasiform.identification.loading import WHOLE, Part
 from quasiform.identification.records import Curve, mean_of
 
 N_ROWS = 12
@@ -28,10 +29,10 @@ def rows(*columns, separator=",", decimal="."):
 def read(tmp_path):
     """Read a text as if it were a file."""
 
-    def read(text, columns=None, units=None, encoding="utf-8"):
+    def read(text, columns=None, units=None, encoding="utf-8", part=WHOLE):
         path = tmp_path / "test.csv"
         path.write_bytes(text.encode(encoding) if isinstance(text, str) else text)
-        return records.read(path, columns, units)
+        return records.read(path, columns, units, part)
 
     return read
 
@@ -87,6 +88,37 @@ def test_headings_with_blanks_and_without(read, heading, columns):
     assert_allclose(c.force, F, rtol=1e-12)
     assert c.displacement is None
     assert c.per_length
+
+
+@pytest.mark.parametrize("separator", [";", "\t", ",", "  "])
+@pytest.mark.parametrize(
+    "heading",
+    [
+        "Station 1 Displacement [mm]|Station 1 Force [N]|Time [s]",
+        "Channel 1: Displacement (mm)|Channel 2: Force (N)|Time",
+        "Specimen 4 of 12\nDisplacement [mm]|Force [N]|Time [s]",
+        "Station 1|Station 2|3 of 3\nDisplacement|Force|Time\nmm|N|s",
+        "10 20|Speed|of 2\nDisplacement [mm]|Force [N]|Time [s]",
+    ],
+)
+def test_headings_that_hold_figures(read, heading, separator):
+    table = rows(X, F, X + 1, separator=separator)
+    c = read(heading.replace("|", separator) + "\n" + table)
+    assert_allclose(c.displacement, X, rtol=1e-12)
+    assert_allclose(c.force, F, rtol=1e-12)
+
+
+def test_positions_below_a_heading_of_figures(read):
+    c = read(f"Cell,1,2\n{rows(X, F, X + 1)}", {"displacement": "1", "force": "2"})
+    assert_allclose(c.force, F, rtol=1e-12)
+
+
+def test_two_stations_are_a_choice(read, tmp_path):
+    text = "Displacement\tStation 1 Force (N)\tStation 2 Force (N)\n"
+    text += rows(X, F, 2 * F, separator="\t")
+    assert "(column 2) and 'Station 2 Force (N)' (column 3) may" in refused(read, tmp_path, text)
+    c = read(text, {"force": "Station 2 Force (N)"})
+    assert_allclose(c.force, 2 * F, rtol=1e-12)
 
 
 def test_quoted_decimal_commas(read):
@@ -376,23 +408,97 @@ def test_jitter_is_left_out(read):
 
 
 @pytest.mark.parametrize(
-    ("first", "preload", "moved", "notice"),
+    ("first", "preload", "zero", "notice"),
     [
-        (15.0, 0.0, True, "shifted by -15 mm to start at 0"),
-        (-0.4, 0.0, True, "shifted by 0.4 mm"),
-        (-0.4, 2.9, True, "shifted by 0.4 mm"),
-        (15.0, 2.9, False, "begins at 15 mm with 2.9 N: not shifted"),
-        (0.0, 0.8, False, "A preload of 0.8 N was kept."),
+        (15.0, 0.0, 15.0, "shifted by -15 mm: it starts without a force"),
+        (-0.4, 0.0, -0.4, "shifted by 0.4 mm"),
+        (-0.4, 2.9, -2.26, "a preload of 2.91 N in the first row, at -0.4 mm"),
+        (15.0, 2.9, 13.14, "a preload of 2.91 N in the first row, at 15 mm"),
+        (0.0, 0.8, -0.52, "in the first row, at 0 mm"),
+        (0.0, 0.0, 0.0, ""),
     ],
 )
-def test_zero_and_preload(read, first, preload, moved, notice):
+def test_zero_and_preload(read, first, preload, zero, notice):
+    """The tangent at the start, 1.55 N/mm, meets no force at -preload/1.55 mm."""
     rng = np.random.default_rng(1)
     f = law(LONG) * (1 + 0.005 * rng.standard_normal(len(LONG))) + preload
     c = read(curve(LONG + first, f))
-    assert_allclose(c.displacement, LONG + (0.0 if moved else first), atol=1e-12)
+    assert_allclose(c.displacement, LONG + first - zero, atol=0.05 * preload or 1e-12)
     assert_array_equal(c.force, f)
-    assert any(notice in told for told in c.notices)
-    assert any("preload" in told for told in c.notices) == (preload > 0 and first <= 0)
+    assert any(notice in told for told in c.notices) or not notice
+    assert any("preload" in told for told in c.notices) == (preload > 0)
+
+
+def test_zero_and_preload_are_given(read, tmp_path):
+    text = curve(LONG + 0.35, law(LONG) + 1.0)
+    c = read(text, part=Part(zero=0.35, preload=0.0))
+    assert_allclose(c.displacement, LONG, atol=1e-12)
+    assert_allclose(c.force, law(LONG), atol=0.02)
+    assert "shifted by -0.35 mm: given." in c.notices[1]
+    c = read(text, part=Part(zero=1.0))  # rows before it are cut
+    assert c.displacement[0] == pytest.approx(0.15)
+    assert c.force[0] == pytest.approx(law(0.8) + 1.0)
+    # a load cell that was set to zero at a preload of 2 N
+    c = read(curve(LONG, law(LONG)), part=Part(preload=2.0))
+    assert_allclose(c.force, law(LONG) + 2.0, atol=0.02)
+    assert c.displacement[0] == pytest.approx(2.0 / 1.55, abs=0.05)
+    text = "gamma [deg],F_sh [N/mm]\n" + rows(LONG, law(LONG))
+    with pytest.raises(InputError, match="of a record with a displacement, not of an angle"):
+        read(text, part=Part(zero=1.0))
+
+
+# Cycles
+
+
+def cycles(*peaks, soft=0.9):
+    """Loading to each peak, mm, and back to 1 mm; later loadings need a smaller force."""
+    x, f, scale = [], [], 1.0
+    for peak in peaks:
+        up = np.arange(1.0 if x else 0.0, peak + 0.1, 0.2)
+        x += [up, np.arange(peak - 0.5, 1.0, -0.5)]
+        f += [scale * law(up), 0.7 * scale * law(x[-1])]
+        scale *= soft
+    return np.concatenate(x), np.concatenate(f)
+
+
+@pytest.mark.parametrize(
+    ("cycle", "scale", "words"),
+    [
+        (None, 1.0, "3 cycles: their envelope"),
+        ("envelope", 1.0, "their envelope"),
+        ("first", 1.0, "number 1 is used"),
+        ("last", 0.81, "number 3 is used, from 1 mm"),
+        ("2", 0.9, "number 2 is used"),
+        (3, 0.81, "number 3 is used"),
+    ],
+)
+def test_one_cycle_of_three(read, cycle, scale, words):
+    x, f = cycles(40.0, 40.0, 40.0)
+    c = read("u [mm];F [kN]\n" + rows(x, f / 1e3, separator=";"), part=Part(zero=0.0, cycle=cycle))
+    assert any(words in told for told in c.notices)
+    assert_allclose(c.force, scale * law(c.displacement), rtol=1e-9, atol=1e-12)
+    assert c.displacement[-1] == pytest.approx(40.0, abs=0.3)
+    assert c.displacement[0] == pytest.approx(0.0 if scale == 1 else 1.0, abs=0.3)
+
+
+def test_the_envelope_of_growing_cycles(read):
+    x, f = cycles(10.0, 25.0, 45.0, soft=1.0)
+    c = read(curve(x, f))
+    assert c.displacement[-1] == pytest.approx(45.0, abs=0.3)
+    assert_allclose(c.force, law(c.displacement), rtol=1e-9, atol=1e-12)
+    assert np.diff(c.displacement).max() < 1.5
+
+
+def test_an_approach_is_no_cycle(read, tmp_path):
+    x = np.r_[np.arange(8.0, 0.0, -0.5), LONG]
+    message = refused(read, tmp_path, curve(x, np.r_[np.zeros(16), law(LONG)]))
+    assert "displacement is not monotone: goes back by 8 mm" in message
+
+
+def test_a_cycle_that_is_not_there(read, tmp_path):
+    for text, words in ((curve(*cycles(40.0, 40.0)), "2 cycles"), (curve(X, F), "1 cycle")):
+        message = refused(read, tmp_path, text, part=Part(cycle=5))
+        assert message == f"cycle 5 is not in the record, which has {words}"
 
 
 def test_a_curve_that_begins_where_a_sheet_would_be_is_not_shifted(read):

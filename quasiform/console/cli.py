@@ -116,6 +116,19 @@ def _degrees(text: str) -> float:
     raise ValueError(f"expected a number of degrees, got '{text}'")
 
 
+def _auto(text: str) -> float | str:
+    with suppress(ValueError):
+        if text == "auto" or isfinite(float(text)):
+            return text if text == "auto" else float(text)
+    raise ValueError(f"expected a number or auto, got '{text}'")
+
+
+def _cycle(text: str) -> int | str:
+    if text in ("last", "first", "envelope") or (text.isdecimal() and int(text)):
+        return int(text) if text.isdecimal() else text
+    raise ValueError(f"expected last, first, envelope or a number from 1, got '{text}'")
+
+
 def _path(text: str) -> Path:
     if not text:
         raise ValueError("expected the name of a file or folder, got ''")
@@ -310,7 +323,21 @@ class Tests:
     length: Annotated[Length | None, about("Free length of the strip (320).")] = None
     width: Annotated[Length | None, about("Width of the strip (160).")] = None
     side: Annotated[Length | None, about("Side of the picture frame (100).")] = None
+    fabric_side: Annotated[Length | None, about("Side of the fabric in it (the frame's).")] = None
+    amplification: Annotated[
+        Factor | None, about("Displacement of the frame's corner over that of the machine (1).")
+    ] = None
     thickness: Annotated[Length | None, about("Of the fabric (1.004).")] = None
+    to: Annotated[Degrees | None, about("Largest shear angle that is used (all).")] = None
+    zero: Annotated[
+        Any, word(_auto, "MM|auto"), about("Reading at which the fabric is not strained (auto).")
+    ] = None
+    preload: Annotated[
+        Any, word(_auto, "N|auto"), about("Force on the fabric in the first row (auto).")
+    ] = None
+    cycle: Annotated[
+        Any, word(_cycle, "last|first|N|envelope"), about("Cycle of a cyclic record (envelope).")
+    ] = None
     size: Length | None = None
     """Method inverse: cell edge of the finite-element test (14)."""
     columns: Columns | None = None

@@ -207,9 +207,7 @@ def campaign(campaign: Campaign) -> str:
     from ..identification.campaign import METHODS
 
     fabric, origins = campaign.fabric, campaign.fabric.provenance
-    rows = [
-        f"{campaign.name}: {METHODS[campaign.method] if campaign.shear else 'cantilever tests'}"
-    ]
+    rows = [f"{campaign.name}: {METHODS[campaign.method] if campaign.shear else 'bending tests'}"]
     if campaign.shear:
         rows.append(f"  thickness {fabric.thickness:g} mm ({origins['thickness']})")
     if campaign.bending:
@@ -222,8 +220,9 @@ def campaign(campaign: Campaign) -> str:
             + ("N/mm" if test.curve.per_length else "N")
         )
         rows += [f"    {notice}" for notice in test.curve.notices]
-    for family, stiffness in campaign.bending.items():
-        rows.append(f"  cantilever, {family}: {number(stiffness.value)} N mm")
+    for family, bent in campaign.bending.items():
+        value = getattr(bent, "value", None) or bent.initial
+        rows.append(f"  bending, {family}: {number(value)} N mm")
     return "\n".join(rows)
 
 

@@ -25,12 +25,14 @@ FloatArray = np.ndarray
 NAMES = ("C_ini", "S_ini", "C_mid", "dS_mid", "C_lo", "I_lo")
 LOCKING = ("C_lo", "I_lo")
 LONGEST = 0.2  # strain I6 at the end of the first stage
+UNSEEN = 1e-8  # of the largest singular value; about the round-off of the differences
+ROUND_OFF = 1e-5  # share of an unseen direction in a parameter that is no part of it
 ALGORITHMS = ("least-squares", "nelder-mead")
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter with its 95 % confidence interval."""
+    """A parameter with its 95 % confidence interval; `high` is infinite where nothing bounds it."""
 
     name: str
     value: float
@@ -216,13 +218,15 @@ def report(
     law, freedom = unknowns.law(p), max(len(r) - len(p), 1)
     lag = float(np.clip((r[1:] @ r[:-1]) / max(r @ r, 1e-300), 0.0, 0.95))
     variance = float(r @ r) / freedom * (1 + lag) / (1 - lag)
-    # a direction that does not change the forces has no bound
     size = np.linalg.norm(J, axis=0)
     size = np.maximum(size, 1e-12 * size.max())
     _, s, Vt = np.linalg.svd(J / size, full_matrices=False)
-    spread = Vt.T / np.where(s > 1e-9 * s[0], s, 1e-30) / size[:, None]
     native = unknowns.slopes(p, lambda law: np.array([getattr(law, name) for name in NAMES]))
-    deviation = np.sqrt(variance) * np.linalg.norm(native @ spread, axis=1)
+    share = native / size @ Vt.T  # of each direction in each parameter
+    unseen = s < UNSEEN * s[0]  # such a direction does not change the forces
+    part = np.abs(share[:, unseen]) > ROUND_OFF * np.linalg.norm(share, axis=1, keepdims=True)
+    deviation = np.sqrt(variance) * np.linalg.norm(share[:, ~unseen] / s[~unseen], axis=1)
+    deviation[part.any(axis=1)] = np.inf
     reach = sp.special.stdtrit(freedom, 0.975) * deviation
     parameters = []
     for name, half in zip(NAMES, reach.tolist(), strict=True):

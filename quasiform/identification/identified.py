@@ -8,16 +8,18 @@ import json
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import astuple, dataclass, replace
 from datetime import date
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ..checks import FORMAT, naming
-from ..fabric import Fabric
+from ..fabric import Fabric, MomentCurve
 from ..result.files import replaced
 from ..result.summary import package_version
 from .campaign import ASSUMED, METHODS, VALUES, Campaign, load
+from .cantilever import Stiffness
 from .energy_method import StressCurve, energy_method
 from .fit import Fit, Parameter, fit
 from .inverse import identify_by_elements
@@ -77,7 +79,8 @@ class Identification:
             "format": FORMAT,
             "provenance": dict(self.fabric.provenance),
             "parameters": [
-                {k: None if v != v else v for k, v in vars(p).items()} for p in self.parameters
+                {k: v if isinstance(v, str) or isfinite(v) else None for k, v in vars(p).items()}
+                for p in self.parameters
             ],
             "stages_deg": None if self.fitted is None else list(self.fitted.stages),
             "notices": list(self.notices),
@@ -101,8 +104,8 @@ def identify(source: str | Path | Campaign, **given: Any) -> Identification:
         CSV file of one test, TOML file of a campaign (`identification.campaign`), or a `Campaign`.
     **given
         As `identification.campaign.load`: method ("fit", "inverse", "table" or "as-printed"), keep,
-        algorithm, size; of a CSV file also kind, length, width, angle, side, thickness, columns,
-        units.
+        algorithm, size; of a CSV file also kind, thickness, columns, units, from, to, zero,
+        preload, cycle and the sizes of its specimen.
 
     Returns
     -------
@@ -126,16 +129,20 @@ def identify(source: str | Path | Campaign, **given: Any) -> Identification:
     if campaign.shear:
         curve, fitted = _shear(campaign)
         shear = curve.law() if fitted is None else fitted.law
-        fabric = replace(fabric, shear=shear, shear_range=curve.high)
+        trusted, origin = max(test.trusted() for test in campaign.shear)
+        fabric = replace(fabric, shear=shear, shear_range=trusted)
+        if trusted < curve.high - 0.05:
+            notices.append(
+                f"shear_range ends at {trusted:.1f} degrees, the tests at {curve.high:.1f}: "
+                f"{origin} (--to DEG: as far as you trust it)"
+            )
         if fitted is not None:
             parameters += fitted.parameters
             notices += _remarks(fitted, curve)
-    for family, stiffness in campaign.bending.items():
-        name, value, half = f"bending_{family}", stiffness.value, 2.0 * stiffness.standard_error
-        parameters.append(Parameter(name, value, value - half, value + half, "N mm", "fitted"))
-        off = 100 * (stiffness.classical / value - 1)
-        notices.append(f"{name} by Peirce's formula {stiffness.classical:.4g} N mm ({off:+.1f} %)")
-        fabric = replace(fabric, **{name: value})
+    for family, bent in campaign.bending.items():
+        fabric, parameter, notice = _bent(fabric, family, bent)
+        parameters.append(parameter)
+        notices.append(notice)
     origins = _origins(campaign, fitted)
     for base in dict.fromkeys(o for o in origins.values() if o.startswith(ASSUMED)):
         names = ", ".join(name for name, origin in origins.items() if origin == base)
@@ -143,6 +150,26 @@ def identify(source: str | Path | Campaign, **given: Any) -> Identification:
     provenance = _provenance(campaign, curve, fitted, origins)
     fabric = replace(fabric, name=campaign.name, provenance=provenance)
     return Identification(campaign, fabric, curve, fitted, tuple(parameters), tuple(notices))
+
+
+def _bent(
+    fabric: Fabric, family: str, found: Stiffness | MomentCurve
+) -> tuple[Fabric, Parameter, str]:
+    """The fabric with what was found of a family, its stiffness, and a notice."""
+    name = f"bending_{family}"
+    if isinstance(found, Stiffness):
+        value, half = found.value, 2.0 * found.standard_error
+        off = 100 * (found.classical / value - 1)
+        notice = f"{name} by Peirce's formula {found.classical:.4g} N mm ({off:+.1f} %)"
+        parameter = Parameter(name, value, value - half, value + half, "N mm", "fitted")
+        return replace(fabric, **{name: value, f"moment_{family}": None}), parameter, notice
+    value, last, moment = found.initial, found.curvature[-1], found.moment[-1]
+    notice = (
+        f"{name} is that of the flat fabric; at {1e3 * last:.3g} 1/m the moment is "
+        f"{moment:.4g} N, {value * last / moment:.3g} times less than by it (moment_{family})"
+    )
+    parameter = Parameter(name, value, np.nan, np.nan, "N mm", "fitted")
+    return replace(fabric, **{name: value, f"moment_{family}": found}), parameter, notice
 
 
 def _shear(campaign: Campaign) -> tuple[StressCurve, Fit | None]:
@@ -174,19 +201,25 @@ def _in_state(fitted: Fit | None, state: str) -> str:
 
 def _tested(campaign: Campaign) -> list[str]:
     """Names of the values that follow from the tests."""
-    shear = ["shear", "shear_range"] if campaign.shear else []
-    return [*shear, *(f"bending_{family}" for family in campaign.bending)]
+    shear = ["shear"] if campaign.shear else []
+    curves = [k for k, bent in campaign.bending.items() if isinstance(bent, MomentCurve)]
+    bending = [f"bending_{family}" for family in campaign.bending]
+    return [*shear, *bending, *(f"moment_{family}" for family in curves)]
 
 
 def _origins(campaign: Campaign, fitted: Fit | None) -> dict[str, str]:
     """Origin of each value of the fabric, and the assumptions in those of the tests."""
     fabric = campaign.fabric
-    origins = {name: str(fabric.provenance.get(name, f"{ASSUMED}{fabric.name}")) for name in VALUES}
+    there = [name for name in VALUES if getattr(fabric, name) is not None]
+    origins = {name: str(fabric.provenance.get(name, f"{ASSUMED}{fabric.name}")) for name in there}
     found = dict.fromkeys(_tested(campaign), campaign.standing)
-    for name in found.keys() - {"shear_range"}:
+    weighed = [k for k, bent in campaign.bending.items() if isinstance(bent, Stiffness)]
+    for name in found.keys() & {"shear", *(f"bending_{family}" for family in weighed)}:
         divisor = "thickness" if name == "shear" else "areal_weight"
         if origins[divisor].startswith(ASSUMED):
             found[name] += f", with an assumed {divisor}"
+    if campaign.shear:
+        found["shear_range"] = max(test.trusted() for test in campaign.shear)[1]
     for state in ("kept", "not identified", "not tested"):
         if names := _in_state(fitted, state):
             found["shear"] += f"; {state}: {names}"
@@ -200,7 +233,7 @@ def _provenance(
         "standing": campaign.standing,
         "standing_of": ", ".join(_tested(campaign)),
         **origins,
-        "method": METHODS[campaign.method] if campaign.shear else "cantilever tests",
+        "method": METHODS[campaign.method] if campaign.shear else "bending tests",
         "date": date.today().isoformat(),
         "quasiform": package_version(),
     }
@@ -218,10 +251,10 @@ def _provenance(
 
 
 def _write(path: Path, head: Iterable[str], rows: Iterable[Iterable[Any]]) -> None:
-    """Write a CSV file; the cell of an unknown number is empty."""
+    """Write a CSV file; the cell of a number that is unknown or has no bound is empty."""
 
     def cell(value: Any) -> Any:
-        return f"{value:.8g}".replace("nan", "") if isinstance(value, float) else value
+        return value if not isinstance(value, float) else f"{value:.8g}" if isfinite(value) else ""
 
     with path.open("w", newline="", encoding="utf-8") as file:
         csv.writer(file).writerows([head, *(map(cell, row) for row in rows)])

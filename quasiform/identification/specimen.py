@@ -52,25 +52,36 @@ class OffAxis:
         """The specimen as text; empty where its sizes are not needed."""
         return f"strip of {self.length:g} x {self.width:g} mm at {self.angle:g} degrees"
 
+    def angle_of(self, curve: Curve) -> FloatArray:
+        """(n,) kinematic shear angle of the rows, radians, 90 degrees where the net has collapsed.
+
+        Without a displacement the angle of the file.
+        """
+        if curve.displacement is None:
+            return _angle(curve)
+        u, (D, _) = curve.displacement, self.net.chord
+        I6 = u * (2 * D + u) / (2 * self.net.alpha * self.net.beta)
+        return np.arcsin(np.minimum(I6, 1.0))
+
     def displacement(self, curve: Curve) -> FloatArray:
         """(n,) grip displacement of the rows, mm: the measured one, or that of a measured angle."""
         if curve.displacement is None:
             I6, (D, _) = np.sin(_angle(curve)), self.net.chord
             return np.sqrt(D**2 + 2 * self.net.alpha * self.net.beta * I6) - D
-        end = "at {:.4g} mm the net of inextensible fibres has collapsed: cut the record, or check "
-        return _within(curve, self.net.displacement_limit, end + "length and width")
+        if curve.shear_angle is not None:
+            _angle(curve)  # a check, but no impossible one
+        end = "at {:.4g} mm the net of inextensible fibres has collapsed: cut the record (--to), "
+        return _within(curve, self.net.displacement_limit, end + "or check length and width")
 
     def shares(self, curve: Curve, thickness: float, as_printed: bool = False) -> Shares:
         """Shares of the zones in the force, (3, n) in mm², and their angles, (3, n) in radians.
 
-        A measured angle replaces the kinematic one in the full zone; the others change in
-        proportion. With `as_printed` the half zones count for half, as in the paper's Eq. 10.
+        The angles follow the displacement. One that was measured at the centre is no mean of its
+        zone, and its rate is not that of the fibres: it is a check only (`campaign`). With
+        `as_printed` the half zones count for half, as in the paper's Eq. 10.
         """
         u = self.displacement(curve)
         angles, rates = self.net.angles(u), self.net.angle_rates(u)
-        if curve.shear_angle is not None:
-            moved = angles[0] > 0
-            angles = angles * np.divide(_angle(curve), angles[0], out=np.ones_like(u), where=moved)
         areas = self.net.zone_areas[:3] * ([1.0, 0.5, 0.5] if as_printed else 1.0)
         return thickness * areas[:, None] * np.cos(angles) * rates, angles
 
@@ -81,35 +92,56 @@ class PictureFrame:
 
     side: float = 100.0  # L of the frame between its hinges, mm
     fabric_side: float | None = None  # of the sheared fabric, mm, where it is smaller
+    amplification: float | None = None  # displacement of the corner over that of the machine
 
     def __post_init__(self) -> None:
         check_number("side", self.side)
+        if self.amplification is not None:
+            check_number("amplification", self.amplification)
         if self.fabric_side is not None:
             check_number("fabric_side", self.fabric_side)
+            if self.fabric_side > self.side:
+                words = f"fabric_side must not exceed the side of the frame, {self.side:g} mm"
+                raise InputError(f"{words}, got {self.fabric_side:g}")
 
     def described(self, curve: Curve) -> str:
         """The specimen as text; empty where its sizes are not needed."""
         if curve.per_length and curve.shear_angle is not None:
             return ""
-        fabric = f", fabric of {self.fabric_side:g} mm" if self.fabric_side else ""
-        return f"frame of {self.side:g} mm sides{fabric}"
+        linkage = f", linkage of factor {self.amplification:g}" if self.amplification else ""
+        if self.fabric_side:
+            return f"frame of {self.side:g} mm sides, fabric of {self.fabric_side:g} mm{linkage}"
+        assumed = "filled by the fabric (if not, S12 is (side/fabric_side)² times: --fabric-side)"
+        return f"frame of {self.side:g} mm sides{linkage}, {assumed}"
 
-    def angle(self, curve: Curve) -> FloatArray:
+    def angle_of(self, curve: Curve) -> FloatArray:
         """(n,) shear angle of the rows, radians: measured, or that of the hinged frame."""
-        if curve.shear_angle is not None:
-            return _angle(curve)
-        end = "the frame closes at {:.4g} mm: check the side of the frame"
-        u = _within(curve, (2 - np.sqrt(2.0)) * self.side, end)
-        return np.pi / 2 - 2.0 * np.arccos(np.sqrt(0.5) + u / (2.0 * self.side))
+        return self._hinged(curve) if curve.shear_angle is None else _angle(curve)
+
+    def _hinged(self, curve: Curve) -> FloatArray:
+        """(n,) shear angle of the frame, radians, 90 degrees where it is closed."""
+        u = (self.amplification or 1.0) * curve.displacement
+        return np.pi / 2 - 2.0 * np.arccos(np.minimum(np.sqrt(0.5) + u / (2.0 * self.side), 1.0))
 
     def shares(self, curve: Curve, thickness: float, as_printed: bool = False) -> Shares:
         """Share of the only zone in the force, (1, n) in mm², and its angle, (1, n) in radians.
 
-        A force per length of fabric is F_sh = t0 S12 itself.
+        A force per length of fabric is F_sh = t0 S12 itself. Else the power balance has the rate of
+        the angle that is used: a measured one turns as fast as the frame times dγ/dγ_frame, from a
+        cubic of the one over the other.
         """
-        gamma, fabric = self.angle(curve), self.fabric_side or self.side
+        gamma, fabric, factor = self.angle_of(curve), self.fabric_side or self.side, 1.0
         if curve.per_length:
             return np.full((1, len(gamma)), thickness), gamma[None]
+        if curve.displacement is not None:
+            end = "the frame closes at {:.4g} mm: check its side, or cut the record (--to)"
+            factor = self.amplification or 1.0
+            _within(curve, (2 - np.sqrt(2.0)) * self.side / factor, end)
+            frame, powers = self._hinged(curve), np.arange(1, 4)
+            fit = np.linalg.lstsq(frame[:, None] ** powers, gamma, rcond=None)[0]
+            factor *= (powers * frame[:, None] ** (powers - 1)) @ fit * np.cos(gamma)
+            share = thickness * fabric**2 / self.side * factor / np.sin(np.pi / 4 - frame / 2)
+            return share[None], gamma[None]
         share = 2.0 * thickness * fabric**2 / self.side * np.cos(np.pi / 4 - gamma / 2)
         return share[None], gamma[None]
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import scipy as sp  # its parts load when they are used
 
 from .measures import nodal
 from .outcome import Outcome
@@ -58,10 +59,11 @@ def _force_errors(result: Outcome, levels: Sequence[Outcome], end: float) -> Flo
     if len(along) < 2:
         return None
     travel = [run.states[i].travel for run, i in result.followed]
-    forces = [
-        np.interp(travel, [s.travel for s in run.states], [s.force for s in run.states])
-        for run in along
-    ]
+    forces = []
+    for run in along:
+        at = [s.travel for s in run.states]
+        curve = sp.interpolate.PchipInterpolator(at, [s.force for s in run.states])
+        forces.append(curve(np.clip(travel, at[0], at[-1])))
     error = discretisation_error(forces, [run.model.size for run in along])
     beside = np.pad(error, 1, mode="edge")
     error = np.maximum.reduce([beside[:-2], error, beside[2:]])  # two curves may cross in a row

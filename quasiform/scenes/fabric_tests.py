@@ -15,6 +15,7 @@ import shapely
 from ..checks import InputError, check_number
 from ..energy.bending import Bending, PatchBending
 from ..energy.membrane import Membrane, membrane_of
+from ..energy.softening import bending_terms
 from ..energy.term import Term
 from ..energy.weight import SheetWeight
 from ..fabric import Fabric, fabric_of
@@ -134,6 +135,7 @@ def strip_under_tension(
             *([PAIRED] if blank.pairs is not None else []),
         ],
         coarsest=width / 4,
+        every=True,
     )
 
 
@@ -304,7 +306,7 @@ def hanging_strip(size: float, like: Model | None, fabric: Fabric, **given: Any)
         name=f"cantilever-{family}",
         unknowns=unknowns,
         sheets=[sheet],
-        terms=[Membrane(sheet), Bending(sheet, clamped), weight],
+        terms=[Membrane(sheet), *bending_terms(Bending(sheet, clamped)), weight],
         x0=x0,
         fixed=fixed,
         drive=drive,

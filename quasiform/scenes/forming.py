@@ -21,6 +21,7 @@ from ..energy.bending import Bending, PatchBending
 from ..energy.contact import Contact, at_edges, surrounds
 from ..energy.friction import Friction
 from ..energy.membrane import membrane_of
+from ..energy.softening import bending_terms
 from ..energy.term import Term
 from ..energy.weight import GRAVITY, SheetWeight, ToolWeight
 from ..fabric import Fabric, fabric_of
@@ -249,7 +250,9 @@ def _assemble(model: Model, file: SceneFile, tools: list[Tool], outline: shapely
     model.resting += sum(g.tension for g in file.grippers)
     model.resting += file.gravity * 1e-6 * GRAVITY * fabric.areal_weight * blank.areas.sum()
     pulls = grips(model, file, outline)
-    model.terms = [membrane_of(sheet), bending, *contacts, *frictions, *weights, *pulls]
+    if len(bent := bending_terms(bending)) > 1:
+        model.description.append((bent[1].name, "moment_warp or moment_weft of the fabric"))
+    model.terms = [membrane_of(sheet), *bent, *contacts, *frictions, *weights, *pulls]
 
 
 def _rest(model: Model, contacts: Sequence[Contact]) -> list[Term]:

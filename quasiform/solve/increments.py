@@ -166,7 +166,7 @@ class _Steps:
         solves = tangent.factorisations - before.total()
         if solves <= 200:  # a snap takes as many at any step
             self.next = min((2.0 if solves <= 30 else 1.5) * step, self.largest)
-        if self.target == goal:
+        if self.target == goal or model.every:
             run.keep()
         if lost := model.lost(run.x):
             run.account.ended = f"at {run.travel:.4g} of {model.travel:.4g}: {lost}"
