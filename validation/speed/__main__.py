@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from ..tables import markdown_table
-from . import chart, reductions, scale
+from . import chart, iteration, reductions, scale
 from .rows import GAIN, REFERENCE, Row, expected_seconds, judged, pareto, read, write
 from .runs import PROBLEMS, STRATEGIES, Plan, plans, run, sources
 
@@ -44,12 +44,15 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--draw", action="store_true", help="draw rows.csv again without computing")
     parser.add_argument("--reductions", action="store_true", help="effect of each simplification")
     parser.add_argument("--scale", action="store_true", help="time and memory of large meshes")
+    parser.add_argument("--iteration", action="store_true", help="time of one Newton iteration")
     given = parser.parse_args(argv)
     given.out.mkdir(parents=True, exist_ok=True)
     if given.reductions:
         _save(reductions.table(), given.out / "reductions.md")
     elif given.scale:
         _save(scale.table(), given.out / "scale.md")
+    elif given.iteration:
+        _save(iteration.table(), given.out / "iteration.md")
     else:
         path = given.out / "rows.csv"
         rows = read(path) if given.draw else _compute(given, path)
