@@ -17,12 +17,11 @@ Memory = tuple[Any, ...]  # the states of all terms, in their order; owned by a 
 
 @dataclass(frozen=True, eq=False)
 class _Share:
-    """Where the Hessians of a term go: by stencil if few act at a time, else as the sum of all."""
+    """Where the Hessians of a term go."""
 
     dofs: IntArray
-    slots: IntArray | None = None  # (n_stencils, n_pairs) places in the pattern
-    counts: IntArray | None = None  # 2 where two unknowns of a stencil are one
-    total: csr_array | None = None
+    slots: IntArray  # (n_stencils, n_pairs) places in the pattern
+    counts: IntArray  # (n_stencils, n_pairs) 2 where two unknowns of a stencil are one
 
 
 class Potential:
@@ -47,45 +46,38 @@ class Potential:
     def _lay_out(self, tables: list[IntArray]) -> None:
         """Find the places of all stencils in the pattern, which grows where it lacks one."""
         n = self._n
-        pairs = [self._pairs(dofs) for dofs in tables]
-        wanted = [key.ravel() for key, _ in pairs]
-        diagonal = np.arange(n) * (n + 1)
-        keys, slots = np.unique(
-            np.concatenate([*wanted, diagonal, [n * n], self._keys]), return_inverse=True
-        )
+        pairs = {
+            id(dofs): self._pairs(dofs) for dofs in tables
+        }  # friction has those of its contact
+        wanted = np.concatenate([key.ravel() for key, _ in pairs.values()])
+        wanted = np.concatenate([wanted[wanted >= 0], np.arange(n) * (n + 1), self._keys])
+        wanted.sort()
+        keys = wanted[np.append(True, wanted[1:] > wanted[:-1])]
         if len(keys) > len(self._keys):
-            nnz = len(keys) - 1
             indptr = np.searchsorted(keys, np.arange(n + 1) * n)
             self._keys = keys
-            self.pattern = csr_array((np.zeros(nnz), keys[:-1] % n, indptr), shape=(n, n))
-        dofs = np.concatenate([table.T.ravel() for table in tables])
-        ones, local = np.ones(len(dofs)), np.arange(len(dofs))
-        self._sum_of_gradients = csr_array((ones, (dofs, local)), (len(self.free), len(dofs)))
-        self._constant = np.zeros(len(keys))
-        self._shares: list[_Share] = []
-        for term, table, (key, counts) in zip(self.terms, tables, pairs, strict=True):
-            own, slots = slots[: key.size].reshape(key.shape), slots[key.size :]
-            if term.selective:
-                self._shares.append(_Share(table, own.astype(np.int32), counts))
-                continue
-            m, k = table.shape
-            i, j = np.triu_indices(k)
-            place = (i * k + j) * m + np.arange(m)[:, None]  # in an array with the stencils last
-            entries = counts.ravel().astype(float), (own.ravel(), place.ravel())
-            total = csr_array(entries, shape=(len(keys), k * k * m))
+            self.pattern = csr_array((np.zeros(len(keys)), keys % n, indptr), shape=(n, n))
+        places = {of: (self._slots(key), counts) for of, (key, counts) in pairs.items()}
+        self._shares = [_Share(dofs, *places[id(dofs)]) for dofs in tables]
+        self._constant, at_rest = np.zeros(len(keys) + 1), np.zeros(len(self.free))
+        for term, share in zip(self.terms, self._shares, strict=True):
             if term.quadratic:
-                H = term.hessian(np.zeros(len(self.free)), None, False)
-                self._constant += total @ H.T.ravel()
-            self._shares.append(_Share(table, total=None if term.quadratic else total))
+                term.add_hessian(self._constant, at_rest, None, False, share.slots, share.counts)
 
     def _pairs(self, dofs: IntArray) -> tuple[IntArray, IntArray]:
         """Key of each pair of a stencil's unknowns, and how often it counts on the diagonal."""
         i, j = np.triu_indices(dofs.shape[1])
-        a, b = self._number[dofs[:, i]], self._number[dofs[:, j]]
+        number = self._number[dofs]
+        a, b = number[:, i], number[:, j]
         low, high = np.minimum(a, b), np.maximum(a, b)
-        key = np.where(low < 0, self._n**2, low * self._n + high)  # prescribed: a last slot
+        key = np.where(low < 0, -1, low * self._n + high)  # -1: prescribed
         # where two of a stencil are one unknown, H_ij and H_ji fall on its diagonal
         return key, np.where((a == b) & (i != j), 2, 1).astype(np.int8)
+
+    def _slots(self, key: IntArray) -> IntArray:
+        """Places of keys in the pattern; the last place of all for what is prescribed."""
+        places = np.searchsorted(self._keys, key.ravel()).astype(np.int32).reshape(key.shape)
+        return np.where(key < 0, np.int32(len(self._keys)), places)
 
     def refresh(self, x: FloatArray, memory: Memory) -> Memory:
         return tuple(t.refresh(x, s) for t, s in zip(self.terms, memory, strict=True))
@@ -106,9 +98,10 @@ class Potential:
 
     def gradient(self, x: FloatArray, memory: Memory) -> FloatArray:
         """(n_dofs,) derivative by all unknowns, N; zero on the free ones at rest."""
-        return self._sum_of_gradients @ np.concatenate(
-            [t.gradient(x, s).T.ravel() for t, s in zip(self.terms, memory, strict=True)]
-        )
+        g = np.zeros(len(x))
+        for term, state in zip(self.terms, memory, strict=True):
+            term.add_gradient(g, x, state)
+        return g
 
     def hessian(
         self,
@@ -128,22 +121,12 @@ class Potential:
         values = self._constant.copy()
         load = np.zeros(len(x))
         for term, state, share in zip(self.terms, memory, self._shares, strict=True):
-            dofs = share.dofs
-            if share.slots is not None:
-                rows = term.active(x, state)
-                if not len(rows):
-                    continue
-                H, dofs = term.hessian(x, state, convex, rows), dofs[rows]
-                k = dofs.shape[1]
-                i, j = np.triu_indices(k)
-                upper = share.counts[rows] * H.reshape(len(rows), -1).take(i * k + j, axis=1)
-                np.add.at(values, share.slots[rows].ravel(), upper.ravel())
-            elif share.total is not None:
-                H = term.hessian(x, state, convex, *([stress] if term.foresees else []))
-                values += share.total @ H.T.ravel()
-            elif motion is not None:  # what is quadratic is in the constant
-                H = term.hessian(x, state, convex)
-            if motion is not None and (moved := motion[dofs]).any():
+            foreseen = [stress] if term.foresees else []
+            if not term.quadratic:  # else it is in the constant
+                place = share.slots, share.counts, *foreseen
+                term.add_hessian(values, x, state, convex, *place)
+            if motion is not None and (moved := motion[share.dofs]).any():
+                H = term.hessian(x, state, convex, *foreseen)
                 push = (H @ moved[:, :, None])[:, :, 0]
-                load += np.bincount(dofs.ravel(), push.ravel(), minlength=len(x))
+                load += np.bincount(share.dofs.ravel(), push.ravel(), minlength=len(x))
         return values[:-1], load[self.free]

@@ -12,6 +12,7 @@ The only indefinite part is S ⊗ 1. The convex variant clamps the eigenvalues o
 a closed form for a 2 x 2 matrix.
 
 Inside, the triangles are the last axis, so that a product of two components is one of long vectors.
+What a state was evaluated for is kept for the last two: where an iteration is, and where it tries.
 """
 
 from __future__ import annotations
@@ -32,24 +33,45 @@ class Membrane(Term):
         blank, self.sheet, self.fabric = sheet.blank, sheet, sheet.fabric
         self.name = sheet.named("membrane")
         nodes = blank.basis.element_dofs
-        self.dofs = sheet.dofs.T[:, nodes].swapaxes(0, 1).reshape(-1, nodes.shape[1]).T
+        self.dofs = np.ascontiguousarray(sheet.dofs[nodes.T].reshape(nodes.shape[1], -1))
         grad = np.stack([phi[0].grad[:, :, 0] for phi in blank.basis.basis])  # (3, 2, n)
         # derivatives of the three shape functions along warp and weft, (n_triangles, 2, 3)
-        self._g = np.einsum("fc,icn->fin", np.stack([blank.warp, blank.weft]), grad)
+        g = np.einsum("fc,icn->fin", np.stack([blank.warp, blank.weft]), grad)
+        self._g = np.ascontiguousarray(g)
         self.g = self._g.transpose(2, 0, 1)
         self.volume = sheet.fabric.thickness * blank.areas
-        self._last: tuple[FloatArray, tuple[FloatArray, ...]] | None = None
+        self._last: list[tuple[FloatArray, tuple[FloatArray, ...]]] = []
 
     def _at(self, x: FloatArray) -> tuple[FloatArray, ...]:
-        """What `_evaluate` returns, kept for the last x."""
-        if self._last is None or not np.array_equal(self._last[0], x):
-            self._last = x.copy(), self._evaluate(x)
-        return self._last[1]
+        """What `_evaluate` returns, kept for the last two x."""
+        for i, (known, found) in enumerate(self._last):
+            if self.same(known, x):
+                if i:
+                    self._last.reverse()
+                return found
+        self._last = [(x.copy(), self._evaluate(x)), *self._last[:1]]
+        return self._last[0][1]
 
     def _evaluate(self, x: FloatArray) -> tuple[FloatArray, ...]:
         """Fibre vectors (2, dim, n_triangles) and I4, I6, I8."""
-        f = along_fibres(self._g, x[self.dofs.T])
+        f = self._fibre_vectors(x)
         return f, dot(f[0], f[0]), dot(f[0], f[1]), dot(f[1], f[1])
+
+    def _fibre_vectors(self, x: FloatArray) -> FloatArray:
+        """(2, dim, n_triangles) fibre vectors, also of a motion."""
+        if self.kernels:
+            return self.kernels.fibre_vectors(self._g, self.dofs, x)
+        return along_fibres(self._g, x[self.dofs.T])
+
+    def _forces(self, g: FloatArray, S: FloatArray, f: FloatArray) -> FloatArray:
+        """(n, k dim) nodal forces, see `nodal_forces`."""
+        return (self.kernels.nodal_forces if self.kernels else nodal_forces)(g, S, f)
+
+    def _stiffness(self, g: FloatArray, f: FloatArray, *SW: FloatArray) -> FloatArray:
+        """(n, k dim, k dim) nodal stiffness, see `second_derivative`."""
+        if self.kernels:
+            return self.kernels.membrane_stiffness(g, f, *SW)
+        return nodal_stiffness(g, second_derivative(f, *SW))
 
     def fibres(self, x: FloatArray) -> FloatArray:
         """(n_triangles, 2, dim) deformed fibre vectors F a0 and F b0."""
@@ -91,12 +113,12 @@ class Membrane(Term):
 
     def gradient(self, x: FloatArray, state: None = None) -> FloatArray:
         S = self.volume * self._stress(x)
-        return nodal_forces(self._g, S, self._at(x)[0])
+        return self._forces(self._g, S, self._at(x)[0])
 
     def foreseen_stress(self, x: FloatArray, dx: FloatArray) -> FloatArray:
         """(2, 2, n_triangles) stress that the linearisation at x foresees after a step, MPa."""
         f, I4, I6, I8 = self._at(x)
-        df = along_fibres(self.g.transpose(1, 2, 0), dx[self.dofs.T])
+        df = self._fibre_vectors(dx)
         S, fabric = self._stress(x), self.fabric
         S[0, 0] += 4.0 * fabric.warp.stiffness(I4, 1.0) * dot(f[0], df[0])
         S[1, 1] += 4.0 * fabric.weft.stiffness(I8, 1.0) * dot(f[1], df[1])
@@ -110,9 +132,8 @@ class Membrane(Term):
         f, I4, I6, I8 = self._at(x)
         fabric, S = self.fabric, self._stress(x) if stress is None else stress
         W4, W8 = fabric.warp.stiffness(I4, 1.0), fabric.weft.stiffness(I8, 1.0)
-        W2 = self.volume * np.stack([W4, fabric.shear.stiffness(I6), W8])
-        K = second_derivative(f, self.volume * (clamp(S) if convex else S), *W2)
-        return nodal_stiffness(self._g, K)
+        W2 = (self.volume * W for W in (W4, fabric.shear.stiffness(I6), W8))
+        return self._stiffness(self._g, f, self.volume * (clamp(S) if convex else S), *W2)
 
 
 class PairedMembrane(Membrane):
@@ -137,7 +158,7 @@ class PairedMembrane(Membrane):
         self.parts = np.where(alone, 0.5, 1.0) * self.volume[pairs].T  # V_t, (2, n_pairs)
         self.whole = self.parts.sum(0)
         # fibre derivatives of each triangle by its three nodes, and their mean by all six
-        self.g_each = [self._g[:, :, pairs[:, t]] for t in (0, 1)]
+        self.g_each = [np.ascontiguousarray(self._g[:, :, pairs[:, t]]) for t in (0, 1)]
         share = self.parts / self.whole
         self.g_mean = np.concatenate([share[t] * self.g_each[t] for t in (0, 1)], axis=1)
         self.pair_of = np.empty(len(self.g), dtype=int)
@@ -185,8 +206,8 @@ class PairedMembrane(Membrane):
     def gradient(self, x: FloatArray, state: None = None) -> FloatArray:
         f, each = self._at(x)[:2]
         tension, shear = self._stresses(x)
-        forces = nodal_forces(self.g_mean, self.whole * tension, f)
-        own = [nodal_forces(self.g_each[t], self.parts[t] * shear[t], each[t]) for t in (0, 1)]
+        forces = self._forces(self.g_mean, self.whole * tension, f)
+        own = [self._forces(self.g_each[t], self.parts[t] * shear[t], each[t]) for t in (0, 1)]
         return forces + np.hstack(own)
 
     def foreseen_stress(self, x: FloatArray, dx: FloatArray) -> FloatArray:
@@ -208,11 +229,13 @@ class PairedMembrane(Membrane):
         fabric, none = self.fabric, np.zeros_like(I4)
         W4, W8 = fabric.warp.stiffness(I4, 1.0), fabric.weft.stiffness(I8, 1.0)
         W6 = self.parts * fabric.shear.stiffness(I6)
-        K = second_derivative(f, self.whole * tension, self.whole * W4, none, self.whole * W8)
-        H = nodal_stiffness(self.g_mean, K)
+        V = self.whole
+        H = self._stiffness(self.g_mean, f, V * tension, V * W4, none, V * W8)
         for t, own in enumerate(np.split(np.arange(H.shape[1]), 2)):
-            K = second_derivative(each[t], self.parts[t] * shear[t], none, W6[t], none)
-            H[:, own[:, None], own] += nodal_stiffness(self.g_each[t], K)
+            K = self._stiffness(
+                self.g_each[t], each[t], self.parts[t] * shear[t], none, W6[t], none
+            )
+            H[:, own[:, None], own] += K
         return H
 
 
@@ -229,7 +252,8 @@ def dot(a: FloatArray, b: FloatArray) -> FloatArray:
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:
     """(1 or 3, n) products of vectors (dim, n) in the plane or in space."""
     if len(a) == 3:
-        return np.cross(a, b, axis=0)
+        (a0, a1, a2), (b0, b1, b2) = a, b
+        return np.stack([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])
     return a[:1] * b[1:] - a[1:] * b[:1]
 
 

@@ -28,14 +28,16 @@ from ..checks import InputError
 from ..net.transfer import interpolated
 from ..unknowns import FloatArray, IntArray, Unknowns
 
+try:
+    from .. import compiled
+except ImportError:  # the extra `fast` is not installed
+    compiled = None  # type: ignore[assignment]
+
 
 class Term:
-    """One energy of the sum, without memory unless it says otherwise.
+    """One energy of the sum, without memory unless it says otherwise."""
 
-    Gradients and Hessians that are kept with the stencils as the last axis in memory are summed
-    without a copy.
-    """
-
+    kernels: Any = compiled  # compiled loops over stencils; None: numpy alone
     name: str = "term"
     dofs: IntArray
     quadratic: bool = False  # the Hessian is the same everywhere: it is summed once
@@ -62,6 +64,45 @@ class Term:
     def hessian(self, x: FloatArray, state: Any, convex: bool) -> FloatArray:
         """(n_stencils, n_local, n_local) second derivatives, N/mm; `convex`: semi-definite."""
         raise NotImplementedError
+
+    def same(self, a: FloatArray, b: FloatArray) -> bool:
+        """Whether two arrays of unknowns (n_dofs,) are equal."""
+        return bool(self.kernels.same(a, b) if self.kernels else (a == b).all())
+
+    def add_gradient(self, out: FloatArray, x: FloatArray, state: Any) -> None:
+        """Add the gradient to `out` (n_dofs,), N."""
+        dofs, forces = self.stencils(state), self.gradient(x, state)
+        if self.kernels:
+            self.kernels.add_forces(out, dofs, np.ascontiguousarray(forces))
+        else:
+            out += np.bincount(dofs.ravel(), forces.ravel(), minlength=len(out))
+
+    def add_hessian(
+        self,
+        values: FloatArray,
+        x: FloatArray,
+        state: Any,
+        convex: bool,
+        slots: IntArray,
+        counts: IntArray,
+        stress: FloatArray | None = None,
+    ) -> None:
+        """Add the upper triangles of the Hessians, times counts, to the values at their slots.
+
+        Slots and counts are (n_stencils, n_pairs); the stress is a foreseen one.
+        """
+        rows: IntArray | slice = slice(None)
+        if self.selective:
+            rows = self.active(x, state)  # type: ignore[attr-defined]
+        chosen = [rows] if self.selective else [stress] if self.foresees else []
+        H = np.ascontiguousarray(self.hessian(x, state, convex, *chosen))
+        if self.kernels:
+            rows = rows if self.selective else np.arange(len(H))
+            self.kernels.add_stiffness(values, rows, slots, counts, H)
+            return
+        i, j = np.triu_indices(k := H.shape[1])
+        upper = counts[rows] * H.reshape(len(H), k * k).take(i * k + j, axis=1)
+        values += np.bincount(slots[rows].ravel(), upper.ravel(), minlength=len(values))
 
     def initial(self, x: FloatArray) -> Any:
         """State at the start of a run, at x (n_dofs,): a frozen dataclass of arrays, or None."""

@@ -1,0 +1,583 @@
+"""Loops over stencils and points, compiled with numba (extra `fast`).
+
+Each function stands for a few lines of numpy where it is called, and returns the same to
+round-off. They are compiled at their first call, once for each kind of machine, and kept on disk.
+Arrays are C-contiguous unless a function says otherwise.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numba
+import numpy as np
+
+FloatArray = np.ndarray
+IntArray = np.ndarray
+
+
+def _compile(function: Any) -> Any:
+    """Compile without a cache where no folder for one can be written to."""
+    options = {"nogil": True, "fastmath": {"contract"}}
+    try:
+        return numba.njit(cache=True, **options)(function)
+    except RuntimeError:  # no locator available
+        return numba.njit(**options)(function)
+
+
+@_compile
+def same(a: FloatArray, b: FloatArray) -> bool:
+    """Whether two arrays (n,) are equal."""
+    if len(a) != len(b):
+        return False
+    for i in range(len(a)):
+        if a[i] != b[i]:
+            return False
+    return True
+
+
+# Sums over stencils
+
+
+@_compile
+def add_forces(out: FloatArray, dofs: IntArray, forces: FloatArray) -> None:
+    """Add forces (m, k), in any order in memory, to out[dofs]."""
+    for e in range(dofs.shape[0]):
+        for i in range(dofs.shape[1]):
+            out[dofs[e, i]] += forces[e, i]
+
+
+@_compile
+def add_stiffness(
+    values: FloatArray, rows: IntArray, slots: IntArray, counts: IntArray, H: FloatArray
+) -> None:
+    """Add the upper triangles of H (m, k, k), times counts, to the values at slots[rows]."""
+    k = H.shape[1]
+    for e in range(len(rows)):
+        row, p = rows[e], 0
+        for i in range(k):
+            for j in range(i, k):
+                values[slots[row, p]] += counts[row, p] * H[e, i, j]
+                p += 1
+
+
+@_compile
+def add_point_forces(
+    out: FloatArray, rows: IntArray, dofs: IntArray, shares: FloatArray, forces: FloatArray
+) -> None:
+    """Add forces (m, 3) on points `rows` to their nodes and to the height of the tool, the last."""
+    last = dofs.shape[1] - 1
+    for e in range(len(rows)):
+        row = rows[e]
+        for i in range(last):
+            out[dofs[row, i]] += shares[row, i] * forces[e, i % 3]
+        out[dofs[row, last]] += shares[row, last] * forces[e, 2]
+
+
+@_compile
+def add_point_stiffness(
+    values: FloatArray,
+    rows: IntArray,
+    slots: IntArray,
+    counts: IntArray,
+    shares: FloatArray,
+    K: FloatArray,
+) -> None:
+    """Add stiffnesses K (m, 3, 3) of points `rows`, as seen by their nodes and by the tool."""
+    nodes = (shares.shape[1] - 1) // 3
+    for e in range(len(rows)):
+        row, p = rows[e], 0
+        tool = shares[row, 3 * nodes]
+        for i in range(nodes):
+            for a in range(3):
+                weight = shares[row, 3 * i + a]
+                if weight == 0.0:  # no neighbour there
+                    p += 3 * (nodes - i) + 1 - a
+                    continue
+                for j in range(i, nodes):
+                    for b in range(a if j == i else 0, 3):
+                        share = counts[row, p] * weight * shares[row, 3 * j + b]
+                        values[slots[row, p]] += share * K[e, a, b]
+                        p += 1
+                values[slots[row, p]] += counts[row, p] * weight * tool * K[e, a, 2]
+                p += 1
+        values[slots[row, p]] += tool * tool * K[e, 2, 2]
+
+
+# Membrane
+
+
+@_compile
+def fibre_vectors(g: FloatArray, dofs: IntArray, x: FloatArray) -> FloatArray:
+    """(2, dim, n) vectors f_p = Σ_i g_pi x_i from g (2, k, n) and the numbers (n, k dim) in x."""
+    _, k, n = g.shape
+    dim = dofs.shape[1] // k
+    f = np.zeros((2, dim, n))
+    for e in range(n):
+        for i in range(k):
+            for c in range(dim):
+                place = x[dofs[e, dim * i + c]]
+                f[0, c, e] += g[0, i, e] * place
+                f[1, c, e] += g[1, i, e] * place
+    return f
+
+
+@_compile
+def nodal_forces(g: FloatArray, S: FloatArray, f: FloatArray) -> FloatArray:
+    """(n, k dim) forces Σ_pq g_pi S_pq f_q from stresses (2, 2, n) and fibre vectors."""
+    _, k, n = g.shape
+    dim = f.shape[1]
+    forces = np.empty((n, k * dim))
+    for e in range(n):
+        for c in range(dim):
+            warp = S[0, 0, e] * f[0, c, e] + S[0, 1, e] * f[1, c, e]
+            weft = S[1, 0, e] * f[0, c, e] + S[1, 1, e] * f[1, c, e]
+            for i in range(k):
+                forces[e, dim * i + c] = g[0, i, e] * warp + g[1, i, e] * weft
+    return forces
+
+
+@_compile
+def membrane_stiffness(
+    g: FloatArray, f: FloatArray, S: FloatArray, W4: FloatArray, W6: FloatArray, W8: FloatArray
+) -> FloatArray:
+    """(n, k dim, k dim) stiffness: `second_derivative` and `nodal_stiffness` of the membrane."""
+    _, k, n = g.shape
+    dim = f.shape[1]
+    H = np.empty((n, k * dim, k * dim))
+    K = np.empty((2, 2, dim, dim))
+    Kg = np.empty((2, dim, dim))
+    for e in range(n):
+        for c in range(dim):
+            a, b = f[0, c, e], f[1, c, e]
+            for d in range(dim):
+                aa, bb = a * f[0, d, e], b * f[1, d, e]
+                K[0, 0, c, d] = 4.0 * W4[e] * aa + W6[e] * bb
+                K[1, 1, c, d] = 4.0 * W8[e] * bb + W6[e] * aa
+                K[0, 1, c, d] = W6[e] * b * f[0, d, e]
+                K[1, 0, d, c] = K[0, 1, c, d]
+        for c in range(dim):
+            for p in range(2):
+                for q in range(2):
+                    K[p, q, c, c] += S[p, q, e]
+        for j in range(k):
+            for p in range(2):
+                for c in range(dim):
+                    for d in range(dim):
+                        Kg[p, c, d] = K[p, 0, c, d] * g[0, j, e] + K[p, 1, c, d] * g[1, j, e]
+            for i in range(j + 1):
+                for c in range(dim):
+                    for d in range(dim):
+                        value = g[0, i, e] * Kg[0, c, d] + g[1, i, e] * Kg[1, c, d]
+                        H[e, dim * i + c, dim * j + d] = value
+                        H[e, dim * j + d, dim * i + c] = value
+    return H
+
+
+# Bending
+
+
+@_compile
+def combine(
+    rows: FloatArray, constant: FloatArray, dofs: IntArray, x: FloatArray, count: int
+) -> FloatArray:
+    """(m, count, dim) first combinations of the nodes (m, k dim) by rows (m, 4, k, dim)."""
+    m, _, k, dim = rows.shape
+    y = np.empty((m, count, dim))
+    for e in range(m):
+        for r in range(count):
+            for c in range(dim):
+                total = constant[e, r, c]
+                for i in range(k):
+                    total += rows[e, r, i, c] * x[dofs[e, dim * i + c]]
+                y[e, r, c] = total
+    return y
+
+
+@_compile
+def spread(rows: FloatArray, forces: FloatArray) -> FloatArray:
+    """(m, k dim) nodal forces from forces (m, count, dim) on these combinations."""
+    m, _, k, dim = rows.shape
+    nodal = np.zeros((m, k * dim))
+    for e in range(m):
+        for r in range(forces.shape[1]):
+            for i in range(k):
+                for c in range(dim):
+                    nodal[e, dim * i + c] += rows[e, r, i, c] * forces[e, r, c]
+    return nodal
+
+
+@_compile
+def bending_curvature(y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Curvatures (m, 2), normals (m, 3) and |u x v| (m,) from k_warp, k_weft, u, v (m, 4, 3)."""
+    m = len(y)
+    kappa, normal, length = np.empty((m, 2)), np.empty((m, 3)), np.empty(m)
+    for e in range(m):
+        u, v = y[e, 2], y[e, 3]
+        n0 = u[1] * v[2] - u[2] * v[1]
+        n1 = u[2] * v[0] - u[0] * v[2]
+        n2 = u[0] * v[1] - u[1] * v[0]
+        size = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
+        n0, n1, n2 = n0 / size, n1 / size, n2 / size
+        normal[e, 0], normal[e, 1], normal[e, 2], length[e] = n0, n1, n2, size
+        for f in range(2):
+            kappa[e, f] = y[e, f, 0] * n0 + y[e, f, 1] * n1 + y[e, f, 2] * n2
+    return kappa, normal, length
+
+
+@_compile
+def bending_energy(y: FloatArray, kappa: FloatArray, B: FloatArray, r: float) -> FloatArray:
+    """(m,) energies with the stiffnesses B (m, 2) and the in-plane share r."""
+    energy = np.zeros(len(y))
+    for e in range(len(y)):
+        for f in range(2):
+            square = y[e, f, 0] ** 2 + y[e, f, 1] ** 2 + y[e, f, 2] ** 2
+            energy[e] += 0.5 * B[e, f] * ((1.0 - r) * kappa[e, f] ** 2 + r * square)
+    return energy
+
+
+@_compile
+def _slopes(
+    y: FloatArray, f: int, kappa: float, n: FloatArray, length: float, q: FloatArray, d: FloatArray
+) -> None:
+    """Set q = (k - κ n)/|u x v| and the derivatives d (4, 3) of the curvature of family f."""
+    u, v = y[2], y[3]
+    for c in range(3):
+        q[c] = (y[f, c] - kappa * n[c]) / length
+        d[f, c], d[1 - f, c] = n[c], 0.0
+    for c in range(3):
+        a, b = (c + 1) % 3, (c + 2) % 3
+        d[2, c] = v[a] * q[b] - v[b] * q[a]
+        d[3, c] = q[a] * u[b] - q[b] * u[a]
+
+
+@_compile
+def bending_forces(
+    y: FloatArray,
+    kappa: FloatArray,
+    normal: FloatArray,
+    length: FloatArray,
+    B: FloatArray,
+    r: float,
+) -> FloatArray:
+    """(m, 4, 3) derivatives of the energy by k_warp, k_weft, u and v."""
+    forces = np.zeros((len(y), 4, 3))
+    q, d = np.empty(3), np.empty((4, 3))
+    for e in range(len(y)):
+        for f in range(2):
+            _slopes(y[e], f, kappa[e, f], normal[e], length[e], q, d)
+            force = (1.0 - r) * B[e, f] * kappa[e, f]
+            for s in range(4):
+                for c in range(3):
+                    forces[e, s, c] += force * d[s, c]
+            for c in range(3):
+                forces[e, f, c] += r * B[e, f] * y[e, f, c]
+    return forces
+
+
+@_compile
+def _bending_derivative(
+    y: FloatArray,
+    kappa: FloatArray,
+    n: FloatArray,
+    length: float,
+    B: FloatArray,
+    r: float,
+    convex: bool,
+    q: FloatArray,
+    d: FloatArray,
+    H: FloatArray,
+) -> None:
+    """Set the second derivative H (12, 12) by k_warp, k_weft, u and v of one stencil."""
+    H[:] = 0.0
+    u, v = y[2], y[3]
+    Q, total = np.zeros(3), 0.0
+    P, PM = np.empty((3, 3)), np.empty((3, 6))
+    for a in range(3):
+        for b in range(3):
+            P[a, b] = ((1.0 if a == b else 0.0) - n[a] * n[b]) / length
+    # derivative of u x v: columns of [-[v]x, [u]x]; P times it
+    for a in range(3):
+        for b in range(3):
+            c, g = (b + 1) % 3, (b + 2) % 3
+            PM[a, b] = -P[a, c] * v[g] + P[a, g] * v[c]
+            PM[a, 3 + b] = P[a, c] * u[g] - P[a, g] * u[c]
+    for f in range(2):
+        _slopes(y, f, kappa[f], n, length, q, d)
+        weight = (1.0 - r) * B[f]
+        w = weight * kappa[f]
+        total += w * kappa[f]
+        for c in range(3):
+            Q[c] += w * q[c]
+            H[3 * f + c, 3 * f + c] += r * B[f]
+        for s in range(4):
+            if s == 1 - f:
+                continue
+            for a in range(3):
+                for t in range(4):
+                    if t == 1 - f:
+                        continue
+                    for b in range(3):
+                        H[3 * s + a, 3 * t + b] += weight * d[s, a] * d[t, b]
+        if not convex:
+            for a in range(3):
+                for b in range(6):
+                    H[3 * f + a, 6 + b] += w * PM[a, b]
+                    H[6 + b, 3 * f + a] += w * PM[a, b]
+    if convex:
+        return
+    M, mm, mM = np.zeros((3, 6)), np.empty((3, 3)), np.empty((3, 6))
+    for b in range(3):
+        c, g = (b + 1) % 3, (b + 2) % 3
+        M[c, b], M[g, b] = -v[g], v[c]
+        M[c, 3 + b], M[g, 3 + b] = u[g], -u[c]
+    for a in range(3):
+        for b in range(3):
+            mm[a, b] = -(n[a] * Q[b] + Q[a] * n[b] + total * P[a, b]) / length
+    for a in range(3):
+        for b in range(6):
+            mM[a, b] = mm[a, 0] * M[0, b] + mm[a, 1] * M[1, b] + mm[a, 2] * M[2, b]
+    for a in range(6):
+        for b in range(6):
+            H[6 + a, 6 + b] += M[0, a] * mM[0, b] + M[1, a] * mM[1, b] + M[2, a] * mM[2, b]
+    for a in range(3):
+        c, g = (a + 1) % 3, (a + 2) % 3
+        # minus [Q]x in the block of u and v, and its transpose
+        H[6 + c, 9 + a] -= Q[g]
+        H[6 + g, 9 + a] += Q[c]
+        H[9 + a, 6 + c] -= Q[g]
+        H[9 + a, 6 + g] += Q[c]
+
+
+@_compile
+def bending_stiffness(
+    y: FloatArray,
+    kappa: FloatArray,
+    normal: FloatArray,
+    length: FloatArray,
+    B: FloatArray,
+    r: float,
+    convex: bool,
+    rows: FloatArray,
+    support: IntArray,
+) -> FloatArray:
+    """(m, 3 k, 3 k) nodal stiffness; `support` (4, p) are the nodes in each of the four rows."""
+    m, _, k, _ = rows.shape
+    K = np.zeros((m, 3 * k, 3 * k))
+    q, d, H, HR = np.empty(3), np.empty((4, 3)), np.empty((12, 12)), np.empty((12, 3 * k))
+    for e in range(m):
+        _bending_derivative(y[e], kappa[e], normal[e], length[e], B[e], r, convex, q, d, H)
+        HR[:] = 0.0
+        for s in range(4):
+            for p in range(support.shape[1]):
+                j = support[s, p]
+                for b in range(3):
+                    weight = rows[e, s, j, b]
+                    for a in range(12):
+                        HR[a, 3 * j + b] += H[a, 3 * s + b] * weight
+        for s in range(4):
+            for p in range(support.shape[1]):
+                i = support[s, p]
+                for a in range(3):
+                    weight = rows[e, s, i, a]
+                    for b in range(3 * k):
+                        K[e, 3 * i + a, b] += weight * HR[3 * s + a, b]
+    return K
+
+
+# Contact and friction
+
+
+@_compile
+def places(dofs: IntArray, shares: FloatArray, x: FloatArray, x0: float, y0: float) -> FloatArray:
+    """(m, 3) places of the points less the tool's place and height, the last of the shares."""
+    m, last = len(shares), shares.shape[1] - 1
+    arm = np.empty((m, 3))
+    for e in range(m):
+        arm[e, 0], arm[e, 1], arm[e, 2] = -x0, -y0, shares[e, last] * x[dofs[e, last]]
+        for i in range(last):
+            arm[e, i % 3] += shares[e, i] * x[dofs[e, i]]
+    return arm
+
+
+@_compile
+def may_touch(y: FloatArray, centre: FloatArray, clear: FloatArray, steepest: float) -> IntArray:
+    """Numbers of the points (m, 3) that have left the balls (m,) in which they touch nothing."""
+    rows, count = np.empty(len(y), dtype=np.int64), 0
+    for e in range(len(y)):
+        square = 0.0
+        for c in range(3):
+            square += (y[e, c] - centre[e, c]) ** 2
+        if not (clear[e] >= 0.0 and steepest**2 * square < clear[e] ** 2):
+            rows[count] = e
+            count += 1
+    return rows[:count].copy()
+
+
+@_compile
+def contact_law(p: FloatArray, k: float, e: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """φ, φ', φ'' of penetrations (m,)."""
+    value, first, second = np.zeros(len(p)), np.zeros(len(p)), np.zeros(len(p))
+    for i in range(len(p)):
+        depth = p[i]
+        if depth >= e:
+            value[i] = k * (depth**2 / 2 - e * depth / 2 + e**2 / 6)
+            first[i], second[i] = k * (depth - e / 2), k
+        elif depth > 0.0:
+            value[i] = k * (depth * depth**2 / (6 * e))
+            first[i], second[i] = k * (depth**2 / (2 * e)), k * (depth / e)
+    return value, first, second
+
+
+@_compile
+def friction(
+    rows: IntArray,
+    points: FloatArray,
+    anchor: FloatArray,
+    normal: FloatArray,
+    limit: FloatArray,
+    stick: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Energies (m,), forces (m, 3) and stiffnesses (m, 3, 3) at points `rows` in a tool's frame."""
+    m = len(rows)
+    energy, force, K = np.empty(m), np.empty((m, 3)), np.empty((m, 3, 3))
+    s, n = np.empty(3), np.empty(3)
+    for e in range(m):
+        i, along = rows[e], 0.0
+        for c in range(3):
+            s[c], n[c] = points[i, c] - anchor[i, c], normal[i, c]
+            if np.isnan(s[c]):
+                s[c] = 0.0
+            along += s[c] * n[c]
+        for c in range(3):
+            s[c] -= along * n[c]
+        length = np.sqrt(s[0] ** 2 + s[1] ** 2 + s[2] ** 2)
+        reach = min(length, limit[i] / stick[i])
+        energy[e] = 0.5 * stick[i] * reach**2 + limit[i] * (length - reach)
+        slope = limit[i] / max(length, 1e-300)
+        slips = stick[i] * length > (1 - 1e-6) * limit[i]
+        stiffness = slope if slips else (stick[i] if limit[i] > 0.0 else 0.0)
+        for c in range(3):
+            force[e, c] = s[c] * min(stick[i], slope)
+            for d in range(3):
+                across = (1.0 if c == d else 0.0) - n[c] * n[d]
+                if slips:
+                    across -= s[c] * s[d] / max(length, 1e-300) ** 2
+                K[e, c, d] = stiffness * across
+    return energy, force, K
+
+
+# Tools
+
+
+@_compile
+def _rounded(
+    x: FloatArray,
+    y: FloatArray,
+    z: FloatArray,
+    core: tuple[FloatArray, ...],
+    n: FloatArray,
+    H: FloatArray,
+) -> float:
+    """Distance of a point from a convex core; sets its gradient n (3,) and curvature H (3, 3)."""
+    corners, start, t, length, N, c, sides, least = core
+    n_faces, n_edges = len(N), len(t)
+    inside, highest, height = n_faces > 0, 0, -np.inf
+    nearest, square = 0, np.inf
+    for f in range(n_faces):
+        above = x * N[f, 0] + y * N[f, 1] + z * N[f, 2] + c[f]
+        if above > height:
+            highest, height = f, above
+        if above <= 0.0:
+            continue
+        inside, over = False, True
+        for k in range(3 * f, 3 * f + 3):
+            over &= x * sides[k, 0] + y * sides[k, 1] + z * sides[k, 2] >= least[k]
+        if over and above * above < square:
+            nearest, square = f, above * above
+    for a in range(3):
+        for b in range(3):
+            H[a, b] = 0.0
+    if inside:
+        n[0], n[1], n[2] = N[highest]
+        return height
+    for k in range(n_edges):
+        a0, a1, a2 = x - start[k, 0], y - start[k, 1], z - start[k, 2]
+        s = a0 * t[k, 0] + a1 * t[k, 1] + a2 * t[k, 2]
+        if not 0.0 < s < length[k]:
+            continue
+        a0, a1, a2 = a0 - s * t[k, 0], a1 - s * t[k, 1], a2 - s * t[k, 2]
+        if a0 * a0 + a1 * a1 + a2 * a2 < square:
+            nearest, square = n_faces + k, a0 * a0 + a1 * a1 + a2 * a2
+            n[0], n[1], n[2] = a0, a1, a2
+    for k in range(len(corners)):
+        a0, a1, a2 = x - corners[k, 0], y - corners[k, 1], z - corners[k, 2]
+        if a0 * a0 + a1 * a1 + a2 * a2 < square:
+            nearest, square = n_faces + n_edges + k, a0 * a0 + a1 * a1 + a2 * a2
+            n[0], n[1], n[2] = a0, a1, a2
+    d = np.sqrt(square)
+    if nearest < n_faces:
+        n[0], n[1], n[2] = N[nearest]
+        return d
+    away = d if d > 0.0 else np.inf  # on the core itself d has no gradient
+    for a in range(3):
+        n[a] /= away
+    for a in range(3):
+        for b in range(3):
+            H[a, b] = (1.0 if a == b else 0.0) - n[a] * n[b]
+            if nearest < n_faces + n_edges:
+                H[a, b] -= t[nearest - n_faces, a] * t[nearest - n_faces, b]
+            H[a, b] /= away
+    return d
+
+
+@_compile
+def rounded(
+    points: FloatArray, core: tuple[FloatArray, ...], radius: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """`Rounded.distance`: d (m,), n (m, 3) and H (m, 3, 3) at points (m, 3)."""
+    m = len(points)
+    d, n, H = np.empty(m), np.empty((m, 3)), np.empty((m, 3, 3))
+    for e in range(m):
+        x, y, z = points[e]
+        d[e] = _rounded(x, y, z, core, n[e], H[e]) - radius
+    return d, n, H
+
+
+@_compile
+def opening(
+    points: FloatArray,
+    core: tuple[FloatArray, ...],
+    radius: float,
+    fillet: float,
+    low: FloatArray,
+    high: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """`Opening.distance`: beyond the corners low and high (2,) that of the plate."""
+    count = len(points)
+    d, n, H = np.empty(count), np.empty((count, 3)), np.empty((count, 3, 3))
+    m, bend, t = np.empty(3), np.empty((3, 3)), np.empty(3)
+    for e in range(count):
+        x, y, z = points[e]
+        if not (low[0] < x < high[0] and low[1] < y < high[1]):
+            d[e], n[e, 0], n[e, 1], n[e, 2] = z, 0.0, 0.0, 1.0
+            H[e] = 0.0
+            continue
+        s = _rounded(x, y, 0.0, core, m, bend) - radius
+        depth, to_wall = z + fillet, fillet - s
+        u, v = min(-to_wall, 0.0), max(depth, 0.0)
+        if u == 0.0 and v == 0.0:  # deep in the plate the nearer of face and wall counts
+            q = 1.0
+            d[e] = max(depth, to_wall) - fillet
+            n_m, n_z = (-1.0, 0.0) if to_wall > depth else (0.0, 1.0)
+        else:
+            q = np.sqrt(u * u + v * v)
+            d[e], n_m, n_z = q - fillet, u / q, v / q
+        fillet_curvature = 1.0 / q if u < 0.0 and v > 0.0 else 0.0
+        for a in range(3):
+            n[e, a], t[a] = n_m * m[a], n_z * m[a]
+        n[e, 2], t[2] = n_z, -n_m
+        for a in range(3):
+            for b in range(3):
+                H[e, a, b] = fillet_curvature * t[a] * t[b] + n_m * bend[a, b]
+    return d, n, H
