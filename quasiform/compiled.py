@@ -16,6 +16,10 @@ FloatArray = np.ndarray
 IntArray = np.ndarray
 
 
+# in the place of arguments that are not given: matrices, values, slots and counts
+NONE = np.empty((0, 0, 0)), np.empty(0), np.empty((0, 0), np.int32), np.empty((0, 0), np.int8)
+
+
 def _compile(function: Any) -> Any:
     """Compile without a cache where no folder for one can be written to."""
     options = {"nogil": True, "fastmath": {"contract"}}
@@ -48,17 +52,22 @@ def add_forces(out: FloatArray, dofs: IntArray, forces: FloatArray) -> None:
 
 
 @_compile
+def _add_upper(values: FloatArray, slots: IntArray, counts: IntArray, K: FloatArray) -> None:
+    """Add the upper triangle of K (k, k), times counts (n_pairs,), to the values at slots."""
+    k, p = len(K), 0
+    for i in range(k):
+        for j in range(i, k):
+            values[slots[p]] += counts[p] * K[i, j]
+            p += 1
+
+
+@_compile
 def add_stiffness(
     values: FloatArray, rows: IntArray, slots: IntArray, counts: IntArray, H: FloatArray
 ) -> None:
     """Add the upper triangles of H (m, k, k), times counts, to the values at slots[rows]."""
-    k = H.shape[1]
     for e in range(len(rows)):
-        row, p = rows[e], 0
-        for i in range(k):
-            for j in range(i, k):
-                values[slots[row, p]] += counts[row, p] * H[e, i, j]
-                p += 1
+        _add_upper(values, slots[rows[e]], counts[rows[e]], H[e])
 
 
 @_compile
@@ -138,40 +147,67 @@ def nodal_forces(g: FloatArray, S: FloatArray, f: FloatArray) -> FloatArray:
 
 
 @_compile
+def _membrane_stencil(
+    g: FloatArray, f: FloatArray, S: FloatArray, W: FloatArray, K: FloatArray, H: FloatArray
+) -> None:
+    """Set the upper half of H (k dim, k dim) of one stencil; K (3, dim, dim) is for its use.
+
+    From g (2, k), fibre vectors f (2, dim), stress S (2, 2) and W = W4'', W6'', W8'' (3,).
+    """
+    dim, k = f.shape[1], g.shape[1]
+    for c in range(dim):
+        for d in range(dim):
+            aa, bb, ba = f[0, c] * f[0, d], f[1, c] * f[1, d], f[1, c] * f[0, d]
+            one = 1.0 if c == d else 0.0
+            K[0, c, d] = 4.0 * W[0] * aa + W[1] * bb + S[0, 0] * one
+            K[1, c, d] = 4.0 * W[2] * bb + W[1] * aa + S[1, 1] * one
+            K[2, c, d] = W[1] * ba + S[0, 1] * one  # by warp and weft
+    for j in range(k):
+        for c in range(dim):
+            for d in range(dim):
+                warp = K[0, c, d] * g[0, j] + K[2, c, d] * g[1, j]
+                weft = K[2, d, c] * g[0, j] + K[1, c, d] * g[1, j]
+                for i in range(j + 1):
+                    H[dim * i + c, dim * j + d] = g[0, i] * warp + g[1, i] * weft
+
+
+@_compile
 def membrane_stiffness(
-    g: FloatArray, f: FloatArray, S: FloatArray, W4: FloatArray, W6: FloatArray, W8: FloatArray
-) -> FloatArray:
-    """(n, k dim, k dim) stiffness: `second_derivative` and `nodal_stiffness` of the membrane."""
+    g: FloatArray,
+    f: FloatArray,
+    S: FloatArray,
+    W: FloatArray,
+    out: FloatArray,
+    values: FloatArray,
+    slots: IntArray,
+    counts: IntArray,
+) -> None:
+    """Stiffnesses of all stencils of the membrane: set in `out` (n, k dim, k dim) if it has rows.
+
+    Else they are added to the values at slots. From g (2, k, n), fibre vectors f (2, dim, n),
+    stress S (2, 2, n) and W = W4'', W6'', W8'' (3, n).
+    """
     _, k, n = g.shape
     dim = f.shape[1]
-    H = np.empty((n, k * dim, k * dim))
-    K = np.empty((2, 2, dim, dim))
-    Kg = np.empty((2, dim, dim))
+    own_g, own_f, own_S, own_W = np.empty((2, k)), np.empty((2, dim)), np.empty((2, 2)), np.empty(3)
+    K, H = np.empty((3, dim, dim)), np.empty((k * dim, k * dim))
     for e in range(n):
-        for c in range(dim):
-            a, b = f[0, c, e], f[1, c, e]
-            for d in range(dim):
-                aa, bb = a * f[0, d, e], b * f[1, d, e]
-                K[0, 0, c, d] = 4.0 * W4[e] * aa + W6[e] * bb
-                K[1, 1, c, d] = 4.0 * W8[e] * bb + W6[e] * aa
-                K[0, 1, c, d] = W6[e] * b * f[0, d, e]
-                K[1, 0, d, c] = K[0, 1, c, d]
-        for c in range(dim):
-            for p in range(2):
-                for q in range(2):
-                    K[p, q, c, c] += S[p, q, e]
-        for j in range(k):
-            for p in range(2):
-                for c in range(dim):
-                    for d in range(dim):
-                        Kg[p, c, d] = K[p, 0, c, d] * g[0, j, e] + K[p, 1, c, d] * g[1, j, e]
-            for i in range(j + 1):
-                for c in range(dim):
-                    for d in range(dim):
-                        value = g[0, i, e] * Kg[0, c, d] + g[1, i, e] * Kg[1, c, d]
-                        H[e, dim * i + c, dim * j + d] = value
-                        H[e, dim * j + d, dim * i + c] = value
-    return H
+        for p in range(2):
+            own_g[p], own_f[p], own_S[p] = g[p, :, e], f[p, :, e], S[p, :, e]
+        own_W[:] = W[:, e]
+        _membrane_stencil(own_g, own_f, own_S, own_W, K, H)
+        if len(out):
+            _fill(out[e], H)
+        else:
+            _add_upper(values, slots[e], counts[e], H)
+
+
+@_compile
+def _fill(out: FloatArray, H: FloatArray) -> None:
+    """Set a symmetric matrix from its upper half."""
+    for i in range(len(H)):
+        for j in range(i, len(H)):
+            out[i, j] = out[j, i] = H[i, j]
 
 
 # Bending
@@ -276,6 +312,14 @@ def bending_forces(
 
 
 @_compile
+def _cross(out: FloatArray, a: FloatArray, b: FloatArray) -> None:
+    """Set a x b."""
+    out[0] = a[1] * b[2] - a[2] * b[1]
+    out[1] = a[2] * b[0] - a[0] * b[2]
+    out[2] = a[0] * b[1] - a[1] * b[0]
+
+
+@_compile
 def _bending_derivative(
     y: FloatArray,
     kappa: FloatArray,
@@ -284,62 +328,54 @@ def _bending_derivative(
     B: FloatArray,
     r: float,
     convex: bool,
-    q: FloatArray,
     d: FloatArray,
+    work: FloatArray,
     H: FloatArray,
 ) -> None:
-    """Set the second derivative H (12, 12) by k_warp, k_weft, u and v of one stencil."""
+    """Set the second derivative H (12, 12) by k_warp, k_weft, u and v of one stencil.
+
+    d (4, 3) and work (10, 6) are for its use.
+    """
     H[:] = 0.0
-    u, v = y[2], y[3]
-    Q, total = np.zeros(3), 0.0
-    P, PM = np.empty((3, 3)), np.empty((3, 6))
-    for a in range(3):
-        for b in range(3):
-            P[a, b] = ((1.0 if a == b else 0.0) - n[a] * n[b]) / length
-    # derivative of u x v: columns of [-[v]x, [u]x]; P times it
-    for a in range(3):
-        for b in range(3):
-            c, g = (b + 1) % 3, (b + 2) % 3
-            PM[a, b] = -P[a, c] * v[g] + P[a, g] * v[c]
-            PM[a, 3 + b] = P[a, c] * u[g] - P[a, g] * u[c]
+    u, v, q, Q = y[2], y[3], work[8, :3], work[9, :3]
+    Q[:] = 0.0
+    total = 0.0
     for f in range(2):
         _slopes(y, f, kappa[f], n, length, q, d)
         weight = (1.0 - r) * B[f]
-        w = weight * kappa[f]
-        total += w * kappa[f]
+        total += weight * kappa[f] ** 2
         for c in range(3):
-            Q[c] += w * q[c]
+            Q[c] += weight * kappa[f] * q[c]
             H[3 * f + c, 3 * f + c] += r * B[f]
-        for s in range(4):
-            if s == 1 - f:
-                continue
+        for s in (f, 2, 3):
             for a in range(3):
-                for t in range(4):
-                    if t == 1 - f:
-                        continue
+                slope = weight * d[s, a]
+                for t in (f, 2, 3):
                     for b in range(3):
-                        H[3 * s + a, 3 * t + b] += weight * d[s, a] * d[t, b]
-        if not convex:
-            for a in range(3):
-                for b in range(6):
-                    H[3 * f + a, 6 + b] += w * PM[a, b]
-                    H[6 + b, 3 * f + a] += w * PM[a, b]
+                        H[3 * s + a, 3 * t + b] += slope * d[t, b]
     if convex:
         return
-    M, mm, mM = np.zeros((3, 6)), np.empty((3, 3)), np.empty((3, 6))
-    for b in range(3):
-        c, g = (b + 1) % 3, (b + 2) % 3
-        M[c, b], M[g, b] = -v[g], v[c]
-        M[c, 3 + b], M[g, 3 + b] = u[g], -u[c]
+    # with m = u x v: P = (1 - n n')/|m|, and P and C times the derivative of m by u and v
+    P, C, PM, CM = work[:3, :3], work[:3, 3:], work[3:6], work[6, :]
     for a in range(3):
         for b in range(3):
-            mm[a, b] = -(n[a] * Q[b] + Q[a] * n[b] + total * P[a, b]) / length
+            P[a, b] = ((1.0 if a == b else 0.0) - n[a] * n[b]) / length
+            C[a, b] = -(n[a] * Q[b] + Q[a] * n[b] + total * P[a, b]) / length
+        _cross(PM[a, :3], v, P[a])
+        _cross(PM[a, 3:], P[a], u)
+        for f in range(2):
+            w = (1.0 - r) * B[f] * kappa[f]
+            for b in range(6):
+                H[3 * f + a, 6 + b] += w * PM[a, b]
+                H[6 + b, 3 * f + a] += w * PM[a, b]
     for a in range(3):
-        for b in range(6):
-            mM[a, b] = mm[a, 0] * M[0, b] + mm[a, 1] * M[1, b] + mm[a, 2] * M[2, b]
-    for a in range(6):
-        for b in range(6):
-            H[6 + a, 6 + b] += M[0, a] * mM[0, b] + M[1, a] * mM[1, b] + M[2, a] * mM[2, b]
+        _cross(PM[a, :3], v, C[a])
+        _cross(PM[a, 3:], C[a], u)
+    for b in range(6):
+        _cross(CM[:3], v, PM[:, b])
+        _cross(CM[3:], PM[:, b], u)
+        for a in range(6):
+            H[6 + a, 6 + b] += CM[a]
     for a in range(3):
         c, g = (a + 1) % 3, (a + 2) % 3
         # minus [Q]x in the block of u and v, and its transpose
@@ -347,6 +383,28 @@ def _bending_derivative(
         H[6 + g, 9 + a] += Q[c]
         H[9 + a, 6 + c] -= Q[g]
         H[9 + a, 6 + g] += Q[c]
+
+
+@_compile
+def _bending_stencil(
+    rows: FloatArray, support: IntArray, H: FloatArray, RH: FloatArray, K: FloatArray
+) -> None:
+    """Set the upper half of the nodal stiffness K (3 k, 3 k) of one stencil from H (12, 12)."""
+    RH[:] = 0.0
+    K[:] = 0.0
+    for s in range(4):
+        for j in support[s]:
+            for b in range(3):
+                weight = rows[s, j, b]
+                for a in range(12):
+                    RH[3 * j + b, a] += weight * H[3 * s + b, a]
+    for j in range(rows.shape[1]):
+        for b in range(3):
+            for s in range(4):
+                for i in support[s]:
+                    if i >= j:
+                        for a in range(3):
+                            K[3 * j + b, 3 * i + a] += rows[s, i, a] * RH[3 * j + b, 3 * s + a]
 
 
 @_compile
@@ -360,29 +418,26 @@ def bending_stiffness(
     convex: bool,
     rows: FloatArray,
     support: IntArray,
-) -> FloatArray:
-    """(m, 3 k, 3 k) nodal stiffness; `support` (4, p) are the nodes in each of the four rows."""
+    out: FloatArray,
+    values: FloatArray,
+    slots: IntArray,
+    counts: IntArray,
+) -> None:
+    """Stiffnesses of all stencils of bending: set in `out` (m, 3 k, 3 k) if it has rows.
+
+    Else they are added to the values at slots; `support` (4, p) are the nodes in each of the four
+    rows.
+    """
     m, _, k, _ = rows.shape
-    K = np.zeros((m, 3 * k, 3 * k))
-    q, d, H, HR = np.empty(3), np.empty((4, 3)), np.empty((12, 12)), np.empty((12, 3 * k))
+    d, work, H = np.empty((4, 3)), np.empty((10, 6)), np.empty((12, 12))
+    RH, K = np.empty((3 * k, 12)), np.empty((3 * k, 3 * k))
     for e in range(m):
-        _bending_derivative(y[e], kappa[e], normal[e], length[e], B[e], r, convex, q, d, H)
-        HR[:] = 0.0
-        for s in range(4):
-            for p in range(support.shape[1]):
-                j = support[s, p]
-                for b in range(3):
-                    weight = rows[e, s, j, b]
-                    for a in range(12):
-                        HR[a, 3 * j + b] += H[a, 3 * s + b] * weight
-        for s in range(4):
-            for p in range(support.shape[1]):
-                i = support[s, p]
-                for a in range(3):
-                    weight = rows[e, s, i, a]
-                    for b in range(3 * k):
-                        K[e, 3 * i + a, b] += weight * HR[3 * s + a, b]
-    return K
+        _bending_derivative(y[e], kappa[e], normal[e], length[e], B[e], r, convex, d, work, H)
+        _bending_stencil(rows[e], support, H, RH, K)
+        if len(out):
+            _fill(out[e], K)
+        else:
+            _add_upper(values, slots[e], counts[e], K)
 
 
 # Contact and friction

@@ -121,12 +121,12 @@ class Potential:
         values = self._constant.copy()
         load = np.zeros(len(x))
         for term, state, share in zip(self.terms, memory, self._shares, strict=True):
-            foreseen = [stress] if term.foresees else []
+            foreseen = {"stress": stress} if term.foresees else {}
             if not term.quadratic:  # else it is in the constant
-                place = share.slots, share.counts, *foreseen
-                term.add_hessian(values, x, state, convex, *place)
+                place = share.slots, share.counts
+                term.add_hessian(values, x, state, convex, *place, **foreseen)
             if motion is not None and (moved := motion[share.dofs]).any():
-                H = term.hessian(x, state, convex, *foreseen)
+                H = term.hessian(x, state, convex, **foreseen)
                 push = (H @ moved[:, :, None])[:, :, 0]
                 load += np.bincount(share.dofs.ravel(), push.ravel(), minlength=len(x))
         return values[:-1], load[self.free]

@@ -100,7 +100,7 @@ class Bending(Term):
         self.name = sheet.named("bending")
         self.dofs = sheet.dofs[nodes].reshape(m, dim * k)
         self.stiffness = areas[:, None] * [fabric.bending_warp, fabric.bending_weft]
-        self.in_plane = fabric.in_plane_bending
+        self.in_plane = float(fabric.in_plane_bending)
         if dim == 2:
             self.stiffness, self.in_plane = self.in_plane * self.stiffness, 1
         self.quadratic = self.in_plane == 1
@@ -165,6 +165,19 @@ class Bending(Term):
         force[:, :2] += r * self.stiffness[..., None] * y[:, :2]
         return self._nodal(force)
 
+    def _compiled(self, x: FloatArray, convex: bool, *where: FloatArray) -> None:
+        """Compute stiffnesses, and put them where `compiled.bending_stiffness` does."""
+        given = self.stiffness, self.in_plane, convex, self.rows, self.support
+        self.kernels.bending_stiffness(*self._at(x), *given, *where)
+
+    def add_hessian(
+        self, values: FloatArray, x: FloatArray, state: None, convex: bool, *place: IntArray
+    ) -> None:
+        if self.kernels and self.in_plane != 1:
+            self._compiled(x, convex, self.kernels.NONE[0], values, *place)
+        else:
+            super().add_hessian(values, x, state, convex, *place)
+
     def hessian(self, x: FloatArray, state: None, convex: bool) -> FloatArray:
         """With `convex` without the part with the second derivative of κ (Gauss-Newton)."""
         r, dim = self.in_plane, self.sheet.dim
@@ -172,8 +185,9 @@ class Bending(Term):
             K, each = self.operator[:, : 2 * dim], np.repeat(self.stiffness, dim, axis=1)
             return K.transpose(0, 2, 1) @ (each[..., None] * K)
         if self.kernels:
-            given = self.stiffness, r, convex, self.rows, self.support
-            return self.kernels.bending_stiffness(*self._at(x), *given)
+            H = np.empty((len(self.dofs), *self.dofs.shape[1:] * 2))
+            self._compiled(x, convex, H, *self.kernels.NONE[1:])
+            return H
         (y, kappa, n, length), (q, d) = self._at(x), self._slopes(x)
         u, v, count = y[:, 2], y[:, 3], len(y)
         weight = (1 - r) * self.stiffness

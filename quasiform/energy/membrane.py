@@ -20,7 +20,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..fabric import shear_angle
-from ..unknowns import FloatArray, Sheet
+from ..unknowns import FloatArray, IntArray, Sheet
 from .term import Term
 
 
@@ -67,11 +67,29 @@ class Membrane(Term):
         """(n, k dim) nodal forces, see `nodal_forces`."""
         return (self.kernels.nodal_forces if self.kernels else nodal_forces)(g, S, f)
 
-    def _stiffness(self, g: FloatArray, f: FloatArray, *SW: FloatArray) -> FloatArray:
+    def _stiffness(self, g: FloatArray, f: FloatArray, S: FloatArray, W: FloatArray) -> FloatArray:
         """(n, k dim, k dim) nodal stiffness, see `second_derivative`."""
-        if self.kernels:
-            return self.kernels.membrane_stiffness(g, f, *SW)
-        return nodal_stiffness(g, second_derivative(f, *SW))
+        if not self.kernels:
+            return nodal_stiffness(g, second_derivative(f, S, *W))
+        H = np.empty((g.shape[2], *[g.shape[1] * f.shape[1]] * 2))
+        self.kernels.membrane_stiffness(g, f, S, W, H, *self.kernels.NONE[1:])
+        return H
+
+    def add_hessian(
+        self,
+        values: FloatArray,
+        x: FloatArray,
+        state: None,
+        convex: bool,
+        *place: IntArray,
+        stress: FloatArray | None = None,
+    ) -> None:
+        if self.kernels and type(self) is Membrane:
+            given = self._stress_and_stiffness(x, convex, stress)
+            none = self.kernels.NONE[0]
+            self.kernels.membrane_stiffness(self._g, self._at(x)[0], *given, none, values, *place)
+        else:
+            super().add_hessian(values, x, state, convex, *place, stress=stress)
 
     def fibres(self, x: FloatArray) -> FloatArray:
         """(n_triangles, 2, dim) deformed fibre vectors F a0 and F b0."""
@@ -129,11 +147,21 @@ class Membrane(Term):
     def hessian(
         self, x: FloatArray, state: None, convex: bool, stress: FloatArray | None = None
     ) -> FloatArray:
-        f, I4, I6, I8 = self._at(x)
+        f, S_W = self._at(x)[0], self._stress_and_stiffness(x, convex, stress)
+        return self._stiffness(self._g, f, *S_W)
+
+    def _stress_and_stiffness(
+        self, x: FloatArray, convex: bool, stress: FloatArray | None
+    ) -> tuple[FloatArray, FloatArray]:
+        """S (2, 2, n) and W4'', W6'', W8'' (3, n), times the volume."""
+        _, I4, I6, I8 = self._at(x)
         fabric, S = self.fabric, self._stress(x) if stress is None else stress
-        W4, W8 = fabric.warp.stiffness(I4, 1.0), fabric.weft.stiffness(I8, 1.0)
-        W2 = (self.volume * W for W in (W4, fabric.shear.stiffness(I6), W8))
-        return self._stiffness(self._g, f, self.volume * (clamp(S) if convex else S), *W2)
+        W = (
+            fabric.warp.stiffness(I4, 1.0),
+            fabric.shear.stiffness(I6),
+            fabric.weft.stiffness(I8, 1.0),
+        )
+        return self.volume * (clamp(S) if convex else S), self.volume * np.stack(W)
 
 
 class PairedMembrane(Membrane):
@@ -230,12 +258,10 @@ class PairedMembrane(Membrane):
         W4, W8 = fabric.warp.stiffness(I4, 1.0), fabric.weft.stiffness(I8, 1.0)
         W6 = self.parts * fabric.shear.stiffness(I6)
         V = self.whole
-        H = self._stiffness(self.g_mean, f, V * tension, V * W4, none, V * W8)
+        H = self._stiffness(self.g_mean, f, V * tension, V * np.stack([W4, none, W8]))
         for t, own in enumerate(np.split(np.arange(H.shape[1]), 2)):
-            K = self._stiffness(
-                self.g_each[t], each[t], self.parts[t] * shear[t], none, W6[t], none
-            )
-            H[:, own[:, None], own] += K
+            given = self.parts[t] * shear[t], np.stack([none, W6[t], none])
+            H[:, own[:, None], own] += self._stiffness(self.g_each[t], each[t], *given)
         return H
 
 
