@@ -16,8 +16,8 @@ FloatArray = np.ndarray
 IntArray = np.ndarray
 
 
-# in the place of arguments that are not given: matrices, values, slots and counts
-NONE = np.empty((0, 0, 0)), np.empty(0), np.empty((0, 0), np.int32), np.empty((0, 0), np.int8)
+# in the place of arguments that are not given: matrices, values and slots
+NONE = np.empty((0, 0, 0)), np.empty(0), np.empty((0, 0), np.int32)
 
 
 def _compile(function: Any) -> Any:
@@ -27,6 +27,10 @@ def _compile(function: Any) -> Any:
         return numba.njit(cache=True, **options)(function)
     except RuntimeError:  # no locator available
         return numba.njit(**options)(function)
+
+
+# a part of the function that calls it: sizes that are constant there unroll its loops
+_inline = numba.njit(inline="always")
 
 
 @_compile
@@ -51,23 +55,39 @@ def add_forces(out: FloatArray, dofs: IntArray, forces: FloatArray) -> None:
             out[dofs[e, i]] += forces[e, i]
 
 
-@_compile
-def _add_upper(values: FloatArray, slots: IntArray, counts: IntArray, K: FloatArray) -> None:
-    """Add the upper triangle of K (k, k), times counts (n_pairs,), to the values at slots."""
+@_inline
+def _add(values: FloatArray, slot: int, value: float) -> None:
+    """Add to the values at a slot, twice at ~slot: where two unknowns of a stencil are one."""
+    if slot >= 0:
+        values[slot] += value
+    else:
+        values[~slot] += 2.0 * value
+
+
+@_inline
+def _put(out: FloatArray, values: FloatArray, slots: IntArray, e: int, K: FloatArray) -> None:
+    """Put the stiffness of stencil e, the upper half of K (k, k), where it is wanted.
+
+    It is set in `out` (m, k, k) if that has rows; else it is added to the values at slots[e].
+    """
     k, p = len(K), 0
-    for i in range(k):
-        for j in range(i, k):
-            values[slots[p]] += counts[p] * K[i, j]
-            p += 1
+    if len(out):
+        for i in range(k):
+            for j in range(i, k):
+                out[e, i, j] = out[e, j, i] = K[i, j]
+    else:
+        for i in range(k):
+            for j in range(i, k):
+                _add(values, slots[e, p], K[i, j])
+                p += 1
 
 
 @_compile
-def add_stiffness(
-    values: FloatArray, rows: IntArray, slots: IntArray, counts: IntArray, H: FloatArray
-) -> None:
-    """Add the upper triangles of H (m, k, k), times counts, to the values at slots[rows]."""
+def add_stiffness(values: FloatArray, rows: IntArray, slots: IntArray, H: FloatArray) -> None:
+    """Add the upper triangles of H (m, k, k) to the values at slots[rows]."""
+    none = np.empty((0, 0, 0))
     for e in range(len(rows)):
-        _add_upper(values, slots[rows[e]], counts[rows[e]], H[e])
+        _put(none, values, slots, rows[e], H[e])
 
 
 @_compile
@@ -83,17 +103,15 @@ def add_point_forces(
         out[dofs[row, last]] += shares[row, last] * forces[e, 2]
 
 
-@_compile
-def add_point_stiffness(
+@_inline
+def _add_points(
     values: FloatArray,
     rows: IntArray,
     slots: IntArray,
-    counts: IntArray,
     shares: FloatArray,
     K: FloatArray,
+    nodes: int,
 ) -> None:
-    """Add stiffnesses K (m, 3, 3) of points `rows`, as seen by their nodes and by the tool."""
-    nodes = (shares.shape[1] - 1) // 3
     for e in range(len(rows)):
         row, p = rows[e], 0
         tool = shares[row, 3 * nodes]
@@ -105,12 +123,23 @@ def add_point_stiffness(
                     continue
                 for j in range(i, nodes):
                     for b in range(a if j == i else 0, 3):
-                        share = counts[row, p] * weight * shares[row, 3 * j + b]
-                        values[slots[row, p]] += share * K[e, a, b]
+                        share = weight * shares[row, 3 * j + b]
+                        _add(values, slots[row, p], share * K[e, a, b])
                         p += 1
-                values[slots[row, p]] += counts[row, p] * weight * tool * K[e, a, 2]
+                _add(values, slots[row, p], weight * tool * K[e, a, 2])
                 p += 1
-        values[slots[row, p]] += tool * tool * K[e, 2, 2]
+        _add(values, slots[row, p], tool * tool * K[e, 2, 2])
+
+
+@_compile
+def add_point_stiffness(
+    values: FloatArray, rows: IntArray, slots: IntArray, shares: FloatArray, K: FloatArray
+) -> None:
+    """Add stiffnesses K (m, 3, 3) of points `rows`, as seen by their nodes and by the tool."""
+    if shares.shape[1] == 16:
+        _add_points(values, rows, slots, shares, K, 5)
+    else:
+        _add_points(values, rows, slots, shares, K, (shares.shape[1] - 1) // 3)
 
 
 # Membrane
@@ -146,29 +175,40 @@ def nodal_forces(g: FloatArray, S: FloatArray, f: FloatArray) -> FloatArray:
     return forces
 
 
-@_compile
-def _membrane_stencil(
-    g: FloatArray, f: FloatArray, S: FloatArray, W: FloatArray, K: FloatArray, H: FloatArray
+@_inline
+def _membrane(
+    g: FloatArray,
+    f: FloatArray,
+    S: FloatArray,
+    W: FloatArray,
+    out: FloatArray,
+    values: FloatArray,
+    slots: IntArray,
+    k: int,
+    dim: int,
 ) -> None:
-    """Set the upper half of H (k dim, k dim) of one stencil; K (3, dim, dim) is for its use.
-
-    From g (2, k), fibre vectors f (2, dim), stress S (2, 2) and W = W4'', W6'', W8'' (3,).
-    """
-    dim, k = f.shape[1], g.shape[1]
-    for c in range(dim):
-        for d in range(dim):
-            aa, bb, ba = f[0, c] * f[0, d], f[1, c] * f[1, d], f[1, c] * f[0, d]
-            one = 1.0 if c == d else 0.0
-            K[0, c, d] = 4.0 * W[0] * aa + W[1] * bb + S[0, 0] * one
-            K[1, c, d] = 4.0 * W[2] * bb + W[1] * aa + S[1, 1] * one
-            K[2, c, d] = W[1] * ba + S[0, 1] * one  # by warp and weft
-    for j in range(k):
-        for c in range(dim):
-            for d in range(dim):
-                warp = K[0, c, d] * g[0, j] + K[2, c, d] * g[1, j]
-                weft = K[2, d, c] * g[0, j] + K[1, c, d] * g[1, j]
-                for i in range(j + 1):
-                    H[dim * i + c, dim * j + d] = g[0, i] * warp + g[1, i] * weft
+    Kg, H = np.empty((2, dim, dim)), np.empty((k * dim, k * dim))
+    for e in range(f.shape[2]):
+        W4, W6, W8 = 4.0 * W[0, e], W[1, e], 4.0 * W[2, e]
+        warp, both, weft = S[0, 0, e], S[0, 1, e], S[1, 1, e]
+        for j in range(k):
+            g0, g1 = g[0, j, e], g[1, j, e]
+            for c in range(dim):
+                a, b = f[0, c, e], f[1, c, e]
+                # second derivatives by one fibre vector and by node j, in terms of both vectors
+                aa, ab = W4 * a * g0 + W6 * b * g1, W6 * b * g0
+                ba, bb = W6 * a * g1, W6 * a * g0 + W8 * b * g1
+                for d in range(dim):
+                    Kg[0, c, d] = aa * f[0, d, e] + ab * f[1, d, e]
+                    Kg[1, c, d] = ba * f[0, d, e] + bb * f[1, d, e]
+                Kg[0, c, c] += warp * g0 + both * g1
+                Kg[1, c, c] += both * g0 + weft * g1
+            for i in range(j + 1):
+                h0, h1 = g[0, i, e], g[1, i, e]
+                for c in range(dim):
+                    for d in range(dim):
+                        H[dim * i + c, dim * j + d] = h0 * Kg[0, c, d] + h1 * Kg[1, c, d]
+        _put(out, values, slots, e, H)
 
 
 @_compile
@@ -180,34 +220,19 @@ def membrane_stiffness(
     out: FloatArray,
     values: FloatArray,
     slots: IntArray,
-    counts: IntArray,
 ) -> None:
-    """Stiffnesses of all stencils of the membrane: set in `out` (n, k dim, k dim) if it has rows.
+    """Stiffnesses of all stencils of the membrane, set in `out` or added to values; see `_put`.
 
-    Else they are added to the values at slots. From g (2, k, n), fibre vectors f (2, dim, n),
-    stress S (2, 2, n) and W = W4'', W6'', W8'' (3, n).
+    From g (2, k, n), fibre vectors f (2, dim, n), stress S (2, 2, n) and W = W4'', W6'', W8''
+    (3, n).
     """
-    _, k, n = g.shape
-    dim = f.shape[1]
-    own_g, own_f, own_S, own_W = np.empty((2, k)), np.empty((2, dim)), np.empty((2, 2)), np.empty(3)
-    K, H = np.empty((3, dim, dim)), np.empty((k * dim, k * dim))
-    for e in range(n):
-        for p in range(2):
-            own_g[p], own_f[p], own_S[p] = g[p, :, e], f[p, :, e], S[p, :, e]
-        own_W[:] = W[:, e]
-        _membrane_stencil(own_g, own_f, own_S, own_W, K, H)
-        if len(out):
-            _fill(out[e], H)
-        else:
-            _add_upper(values, slots[e], counts[e], H)
-
-
-@_compile
-def _fill(out: FloatArray, H: FloatArray) -> None:
-    """Set a symmetric matrix from its upper half."""
-    for i in range(len(H)):
-        for j in range(i, len(H)):
-            out[i, j] = out[j, i] = H[i, j]
+    k, dim = g.shape[1], f.shape[1]
+    if k == 3 and dim == 3:
+        _membrane(g, f, S, W, out, values, slots, 3, 3)
+    elif k == 3 and dim == 2:
+        _membrane(g, f, S, W, out, values, slots, 3, 2)
+    else:
+        _membrane(g, f, S, W, out, values, slots, k, dim)
 
 
 # Bending
@@ -272,19 +297,24 @@ def bending_energy(y: FloatArray, kappa: FloatArray, B: FloatArray, r: float) ->
     return energy
 
 
-@_compile
+@_inline
+def _cross(out: FloatArray, a: FloatArray, b: FloatArray) -> None:
+    """Set a x b."""
+    out[0] = a[1] * b[2] - a[2] * b[1]
+    out[1] = a[2] * b[0] - a[0] * b[2]
+    out[2] = a[0] * b[1] - a[1] * b[0]
+
+
+@_inline
 def _slopes(
     y: FloatArray, f: int, kappa: float, n: FloatArray, length: float, q: FloatArray, d: FloatArray
 ) -> None:
-    """Set q = (k - κ n)/|u x v| and the derivatives d (4, 3) of the curvature of family f."""
-    u, v = y[2], y[3]
+    """Set q = (k - κ n)/|u x v| and the derivatives d (12,) of the curvature of family f."""
     for c in range(3):
         q[c] = (y[f, c] - kappa * n[c]) / length
-        d[f, c], d[1 - f, c] = n[c], 0.0
-    for c in range(3):
-        a, b = (c + 1) % 3, (c + 2) % 3
-        d[2, c] = v[a] * q[b] - v[b] * q[a]
-        d[3, c] = q[a] * u[b] - q[b] * u[a]
+        d[3 * f + c], d[3 * (1 - f) + c] = n[c], 0.0
+    _cross(d[6:9], y[3], q)
+    _cross(d[9:12], q, y[2])
 
 
 @_compile
@@ -297,66 +327,33 @@ def bending_forces(
     r: float,
 ) -> FloatArray:
     """(m, 4, 3) derivatives of the energy by k_warp, k_weft, u and v."""
-    forces = np.zeros((len(y), 4, 3))
-    q, d = np.empty(3), np.empty((4, 3))
+    forces = np.zeros((len(y), 12))
+    q, d = np.empty(3), np.empty(12)
     for e in range(len(y)):
         for f in range(2):
             _slopes(y[e], f, kappa[e, f], normal[e], length[e], q, d)
             force = (1.0 - r) * B[e, f] * kappa[e, f]
-            for s in range(4):
-                for c in range(3):
-                    forces[e, s, c] += force * d[s, c]
+            for s in range(12):
+                forces[e, s] += force * d[s]
             for c in range(3):
-                forces[e, f, c] += r * B[e, f] * y[e, f, c]
-    return forces
+                forces[e, 3 * f + c] += r * B[e, f] * y[e, f, c]
+    return forces.reshape(-1, 4, 3)
 
 
-@_compile
-def _cross(out: FloatArray, a: FloatArray, b: FloatArray) -> None:
-    """Set a x b."""
-    out[0] = a[1] * b[2] - a[2] * b[1]
-    out[1] = a[2] * b[0] - a[0] * b[2]
-    out[2] = a[0] * b[1] - a[1] * b[0]
-
-
-@_compile
-def _bending_derivative(
+@_inline
+def _curved(
     y: FloatArray,
-    kappa: FloatArray,
     n: FloatArray,
     length: float,
-    B: FloatArray,
-    r: float,
-    convex: bool,
-    d: FloatArray,
-    work: FloatArray,
+    w: FloatArray,
+    total: float,
+    Q: FloatArray,
     H: FloatArray,
 ) -> None:
-    """Set the second derivative H (12, 12) by k_warp, k_weft, u and v of one stencil.
-
-    d (4, 3) and work (10, 6) are for its use.
-    """
-    H[:] = 0.0
-    u, v, q, Q = y[2], y[3], work[8, :3], work[9, :3]
-    Q[:] = 0.0
-    total = 0.0
-    for f in range(2):
-        _slopes(y, f, kappa[f], n, length, q, d)
-        weight = (1.0 - r) * B[f]
-        total += weight * kappa[f] ** 2
-        for c in range(3):
-            Q[c] += weight * kappa[f] * q[c]
-            H[3 * f + c, 3 * f + c] += r * B[f]
-        for s in (f, 2, 3):
-            for a in range(3):
-                slope = weight * d[s, a]
-                for t in (f, 2, 3):
-                    for b in range(3):
-                        H[3 * s + a, 3 * t + b] += slope * d[t, b]
-    if convex:
-        return
-    # with m = u x v: P = (1 - n n')/|m|, and P and C times the derivative of m by u and v
-    P, C, PM, CM = work[:3, :3], work[:3, 3:], work[3:6], work[6, :]
+    """Add what the second derivative of κ contributes to H (12, 12): w = B κ, total = Σ w κ."""
+    P, PM, CM = np.empty((3, 3)), np.empty((3, 6)), np.empty(6)
+    C, u, v = np.empty((3, 3)), y[2], y[3]
+    # with m = u x v: P = (1 - n n')/|m|; P and C times the derivative of m by u and v
     for a in range(3):
         for b in range(3):
             P[a, b] = ((1.0 if a == b else 0.0) - n[a] * n[b]) / length
@@ -364,10 +361,9 @@ def _bending_derivative(
         _cross(PM[a, :3], v, P[a])
         _cross(PM[a, 3:], P[a], u)
         for f in range(2):
-            w = (1.0 - r) * B[f] * kappa[f]
             for b in range(6):
-                H[3 * f + a, 6 + b] += w * PM[a, b]
-                H[6 + b, 3 * f + a] += w * PM[a, b]
+                H[3 * f + a, 6 + b] += w[f] * PM[a, b]
+                H[6 + b, 3 * f + a] += w[f] * PM[a, b]
     for a in range(3):
         _cross(PM[a, :3], v, C[a])
         _cross(PM[a, 3:], C[a], u)
@@ -385,26 +381,67 @@ def _bending_derivative(
         H[9 + a, 6 + g] += Q[c]
 
 
-@_compile
-def _bending_stencil(
-    rows: FloatArray, support: IntArray, H: FloatArray, RH: FloatArray, K: FloatArray
+@_inline
+def _project(
+    out: FloatArray, H: FloatArray, R: FloatArray, takers: IntArray, k: int, width: int
 ) -> None:
-    """Set the upper half of the nodal stiffness K (3 k, 3 k) of one stencil from H (12, 12)."""
-    RH[:] = 0.0
-    K[:] = 0.0
-    for s in range(4):
-        for j in support[s]:
-            for b in range(3):
-                weight = rows[s, j, b]
-                for a in range(12):
-                    RH[3 * j + b, a] += weight * H[3 * s + b, a]
-    for j in range(rows.shape[1]):
+    """Set out (3 k, width) = R' H with rows R (4, k, 3), which only the `takers` of a node take."""
+    for i in range(k):
         for b in range(3):
-            for s in range(4):
-                for i in support[s]:
-                    if i >= j:
-                        for a in range(3):
-                            K[3 * j + b, 3 * i + a] += rows[s, i, a] * RH[3 * j + b, 3 * s + a]
+            if takers[i, 0] < 0:
+                w, x, y, z = R[0, i, b], R[1, i, b], R[2, i, b], R[3, i, b]
+                for a in range(width):
+                    warp = w * H[b, a] + y * H[6 + b, a]
+                    out[3 * i + b, a] = warp + x * H[3 + b, a] + z * H[9 + b, a]
+            else:
+                s, t = takers[i, 0], takers[i, 1]
+                w, x = R[s, i, b], R[t, i, b]
+                for a in range(width):
+                    out[3 * i + b, a] = w * H[3 * s + b, a] + x * H[3 * t + b, a]
+
+
+@_inline
+def _bending(
+    y: FloatArray,
+    kappa: FloatArray,
+    normal: FloatArray,
+    length: FloatArray,
+    B: FloatArray,
+    r: float,
+    convex: bool,
+    rows: FloatArray,
+    takers: IntArray,
+    out: FloatArray,
+    values: FloatArray,
+    slots: IntArray,
+    k: int,
+) -> None:
+    d, q, Q, w, H = np.empty((2, 12)), np.empty(3), np.empty(3), np.empty(2), np.empty((12, 12))
+    HR, RH, K = np.empty((3 * k, 12)), np.empty((12, 3 * k)), np.empty((3 * k, 3 * k))
+    for e in range(len(y)):
+        w0, w1, total = (1.0 - r) * B[e, 0], (1.0 - r) * B[e, 1], 0.0
+        Q[0], Q[1], Q[2] = 0.0, 0.0, 0.0
+        for f in range(2):
+            _slopes(y[e], f, kappa[e, f], normal[e], length[e], q, d[f])
+            w[f] = (1.0 - r) * B[e, f] * kappa[e, f]
+            total += w[f] * kappa[e, f]
+            for c in range(3):
+                Q[c] += w[f] * q[c]
+        for a in range(12):
+            for b in range(12):
+                H[a, b] = w0 * d[0, a] * d[0, b] + w1 * d[1, a] * d[1, b]
+        for f in range(2):
+            for c in range(3):
+                H[3 * f + c, 3 * f + c] += r * B[e, f]
+        if not convex:
+            _curved(y[e], normal[e], length[e], w, total, Q, H)
+        # R' H R with R = `rows`
+        _project(HR, H, rows[e], takers, k, 12)
+        for i in range(3 * k):
+            for a in range(12):
+                RH[a, i] = HR[i, a]
+        _project(K, RH, rows[e], takers, k, 3 * k)
+        _put(out, values, slots, e, K)
 
 
 @_compile
@@ -417,27 +454,20 @@ def bending_stiffness(
     r: float,
     convex: bool,
     rows: FloatArray,
-    support: IntArray,
+    takers: IntArray,
     out: FloatArray,
     values: FloatArray,
     slots: IntArray,
-    counts: IntArray,
 ) -> None:
-    """Stiffnesses of all stencils of bending: set in `out` (m, 3 k, 3 k) if it has rows.
+    """Stiffnesses of all stencils of bending, set in `out` or added to values; see `_put`.
 
-    Else they are added to the values at slots; `support` (4, p) are the nodes in each of the four
-    rows.
+    `takers` (k, 2) are the two of the four rows that take a node, or -1 if all do.
     """
-    m, _, k, _ = rows.shape
-    d, work, H = np.empty((4, 3)), np.empty((10, 6)), np.empty((12, 12))
-    RH, K = np.empty((3 * k, 12)), np.empty((3 * k, 3 * k))
-    for e in range(m):
-        _bending_derivative(y[e], kappa[e], normal[e], length[e], B[e], r, convex, d, work, H)
-        _bending_stencil(rows[e], support, H, RH, K)
-        if len(out):
-            _fill(out[e], K)
-        else:
-            _add_upper(values, slots[e], counts[e], K)
+    k = rows.shape[2]
+    if k == 5:
+        _bending(y, kappa, normal, length, B, r, convex, rows, takers, out, values, slots, 5)
+    else:
+        _bending(y, kappa, normal, length, B, r, convex, rows, takers, out, values, slots, k)
 
 
 # Contact and friction

@@ -20,8 +20,7 @@ class _Share:
     """Where the Hessians of a term go."""
 
     dofs: IntArray
-    slots: IntArray  # (n_stencils, n_pairs) places in the pattern
-    counts: IntArray  # (n_stencils, n_pairs) 2 where two unknowns of a stencil are one
+    slots: IntArray  # (n_stencils, n_pairs) places in the pattern, ~place where it counts twice
 
 
 class Potential:
@@ -46,9 +45,8 @@ class Potential:
     def _lay_out(self, tables: list[IntArray]) -> None:
         """Find the places of all stencils in the pattern, which grows where it lacks one."""
         n = self._n
-        pairs = {
-            id(dofs): self._pairs(dofs) for dofs in tables
-        }  # friction has those of its contact
+        # friction has the table of its contact
+        pairs = {id(dofs): self._pairs(dofs) for dofs in tables}
         wanted = np.concatenate([key.ravel() for key, _ in pairs.values()])
         wanted = np.concatenate([wanted[wanted >= 0], np.arange(n) * (n + 1), self._keys])
         wanted.sort()
@@ -57,27 +55,30 @@ class Potential:
             indptr = np.searchsorted(keys, np.arange(n + 1) * n)
             self._keys = keys
             self.pattern = csr_array((np.zeros(len(keys)), keys % n, indptr), shape=(n, n))
-        places = {of: (self._slots(key), counts) for of, (key, counts) in pairs.items()}
-        self._shares = [_Share(dofs, *places[id(dofs)]) for dofs in tables]
+        places = {of: self._slots(*pair) for of, pair in pairs.items()}
+        self._shares = [_Share(dofs, places[id(dofs)]) for dofs in tables]
         self._constant, at_rest = np.zeros(len(keys) + 1), np.zeros(len(self.free))
         for term, share in zip(self.terms, self._shares, strict=True):
             if term.quadratic:
-                term.add_hessian(self._constant, at_rest, None, False, share.slots, share.counts)
+                term.add_hessian(self._constant, at_rest, None, False, share.slots)
 
-    def _pairs(self, dofs: IntArray) -> tuple[IntArray, IntArray]:
-        """Key of each pair of a stencil's unknowns, and how often it counts on the diagonal."""
+    def _pairs(self, dofs: IntArray) -> tuple[IntArray, np.ndarray]:
+        """Key of each pair of a stencil's unknowns, and whether the two are one unknown."""
         i, j = np.triu_indices(dofs.shape[1])
         number = self._number[dofs]
         a, b = number[:, i], number[:, j]
         low, high = np.minimum(a, b), np.maximum(a, b)
         key = np.where(low < 0, -1, low * self._n + high)  # -1: prescribed
-        # where two of a stencil are one unknown, H_ij and H_ji fall on its diagonal
-        return key, np.where((a == b) & (i != j), 2, 1).astype(np.int8)
+        return key, (a == b) & (i != j)
 
-    def _slots(self, key: IntArray) -> IntArray:
-        """Places of keys in the pattern; the last place of all for what is prescribed."""
+    def _slots(self, key: IntArray, twice: np.ndarray) -> IntArray:
+        """Places of keys in the pattern; the last place of all for what is prescribed.
+
+        Where two unknowns of a stencil are one, H_ij and H_ji fall on its diagonal: ~place.
+        """
         places = np.searchsorted(self._keys, key.ravel()).astype(np.int32).reshape(key.shape)
-        return np.where(key < 0, np.int32(len(self._keys)), places)
+        places[key < 0] = len(self._keys)
+        return np.where(twice, ~places, places)
 
     def refresh(self, x: FloatArray, memory: Memory) -> Memory:
         return tuple(t.refresh(x, s) for t, s in zip(self.terms, memory, strict=True))
@@ -123,8 +124,7 @@ class Potential:
         for term, state, share in zip(self.terms, memory, self._shares, strict=True):
             foreseen = {"stress": stress} if term.foresees else {}
             if not term.quadratic:  # else it is in the constant
-                place = share.slots, share.counts
-                term.add_hessian(values, x, state, convex, *place, **foreseen)
+                term.add_hessian(values, x, state, convex, share.slots, **foreseen)
             if motion is not None and (moved := motion[share.dofs]).any():
                 H = term.hessian(x, state, convex, **foreseen)
                 push = (H @ moved[:, :, None])[:, :, 0]

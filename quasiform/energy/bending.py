@@ -93,9 +93,10 @@ class Bending(Term):
         self.rows = np.ascontiguousarray(rows[..., :dim])
         each = self.rows[:, :, None] * np.eye(dim)[None, None, :, None, :]
         self.operator = each.reshape(m, 4 * dim, dim * k)
-        taking = (self.rows != 0).any((0, 3))  # nodes that each of the four rows takes
-        self.support = np.argsort(~taking, axis=1, kind="stable")[:, : taking.sum(1).max()]
-        self.support = np.ascontiguousarray(self.support)
+        # the two of the four rows that take a node, or -1: all do
+        taking = (self.rows != 0).any((0, 3)).T
+        two = np.argsort(~taking, axis=1, kind="stable")[:, :2]
+        self.takers = np.where(taking.sum(1)[:, None] > 2, -1, two)
         sheet, self.nodes, fabric = self.sheet, nodes, self.sheet.fabric
         self.name = sheet.named("bending")
         self.dofs = sheet.dofs[nodes].reshape(m, dim * k)
@@ -167,16 +168,16 @@ class Bending(Term):
 
     def _compiled(self, x: FloatArray, convex: bool, *where: FloatArray) -> None:
         """Compute stiffnesses, and put them where `compiled.bending_stiffness` does."""
-        given = self.stiffness, self.in_plane, convex, self.rows, self.support
+        given = self.stiffness, self.in_plane, convex, self.rows, self.takers
         self.kernels.bending_stiffness(*self._at(x), *given, *where)
 
     def add_hessian(
-        self, values: FloatArray, x: FloatArray, state: None, convex: bool, *place: IntArray
+        self, values: FloatArray, x: FloatArray, state: None, convex: bool, slots: IntArray
     ) -> None:
         if self.kernels and self.in_plane != 1:
-            self._compiled(x, convex, self.kernels.NONE[0], values, *place)
+            self._compiled(x, convex, self.kernels.NONE[0], values, slots)
         else:
-            super().add_hessian(values, x, state, convex, *place)
+            super().add_hessian(values, x, state, convex, slots)
 
     def hessian(self, x: FloatArray, state: None, convex: bool) -> FloatArray:
         """With `convex` without the part with the second derivative of κ (Gauss-Newton)."""

@@ -180,15 +180,15 @@ class AtPoints(Term):
         out += np.bincount(self.dofs[here.rows].ravel(), forces.ravel(), minlength=len(out))
 
     def add_hessian(
-        self, values: FloatArray, x: FloatArray, state: Any, convex: bool, *place: IntArray
+        self, values: FloatArray, x: FloatArray, state: Any, convex: bool, slots: IntArray
     ) -> None:
-        """Add the Hessian to the values of a pattern, at (slots, counts) of `Potential`."""
+        """Add the Hessian to the values of a pattern, at slots of `Potential`."""
         here, contact = self.acting(x, state), self.contact
         if self.kernels and not contact.tool.tilts:
-            given = *place, contact.shares, here.exact(convex)
+            given = slots, contact.shares, here.exact(convex)
             self.kernels.add_point_stiffness(values, here.rows, *given)
             return
-        super().add_hessian(values, x, state, convex, *place)
+        super().add_hessian(values, x, state, convex, slots)
 
 
 class Contact(AtPoints):

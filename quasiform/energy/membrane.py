@@ -81,15 +81,15 @@ class Membrane(Term):
         x: FloatArray,
         state: None,
         convex: bool,
-        *place: IntArray,
+        slots: IntArray,
         stress: FloatArray | None = None,
     ) -> None:
         if self.kernels and type(self) is Membrane:
             given = self._stress_and_stiffness(x, convex, stress)
             none = self.kernels.NONE[0]
-            self.kernels.membrane_stiffness(self._g, self._at(x)[0], *given, none, values, *place)
+            self.kernels.membrane_stiffness(self._g, self._at(x)[0], *given, none, values, slots)
         else:
-            super().add_hessian(values, x, state, convex, *place, stress=stress)
+            super().add_hessian(values, x, state, convex, slots, stress=stress)
 
     def fibres(self, x: FloatArray) -> FloatArray:
         """(n_triangles, 2, dim) deformed fibre vectors F a0 and F b0."""

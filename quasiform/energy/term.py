@@ -84,12 +84,11 @@ class Term:
         state: Any,
         convex: bool,
         slots: IntArray,
-        counts: IntArray,
         stress: FloatArray | None = None,
     ) -> None:
-        """Add the upper triangles of the Hessians, times counts, to the values at their slots.
+        """Add the upper triangles of the Hessians to the values at slots (n_stencils, n_pairs).
 
-        Slots and counts are (n_stencils, n_pairs); the stress is a foreseen one.
+        Those at ~slot count twice; the stress is a foreseen one.
         """
         rows: IntArray | slice = slice(None)
         if self.selective:
@@ -98,11 +97,14 @@ class Term:
         H = np.ascontiguousarray(self.hessian(x, state, convex, *chosen))
         if self.kernels:
             rows = rows if self.selective else np.arange(len(H))
-            self.kernels.add_stiffness(values, rows, slots, counts, H)
+            self.kernels.add_stiffness(values, rows, slots, H)
             return
         i, j = np.triu_indices(k := H.shape[1])
-        upper = counts[rows] * H.reshape(len(H), k * k).take(i * k + j, axis=1)
-        values += np.bincount(slots[rows].ravel(), upper.ravel(), minlength=len(values))
+        upper, slots = H.reshape(len(H), k * k).take(i * k + j, axis=1), slots[rows]
+        if (twice := slots < 0).any():
+            upper[twice] *= 2.0
+            slots = np.where(twice, ~slots, slots)
+        values += np.bincount(slots.ravel(), upper.ravel(), minlength=len(values))
 
     def initial(self, x: FloatArray) -> Any:
         """State at the start of a run, at x (n_dofs,): a frozen dataclass of arrays, or None."""
