@@ -161,6 +161,20 @@ def fibre_vectors(g: FloatArray, dofs: IntArray, x: FloatArray) -> FloatArray:
 
 
 @_compile
+def turned_over(f: FloatArray, after: FloatArray) -> bool:
+    """Whether a triangle has turned over between two states with fibre vectors (2, dim, n)."""
+    for e in range(f.shape[2]):
+        turn = 0.0
+        for a in range(3 if f.shape[1] == 3 else 1):
+            i, j = ((a + 1) % 3, (a + 2) % 3) if f.shape[1] == 3 else (0, 1)
+            before = f[0, i, e] * f[1, j, e] - f[0, j, e] * f[1, i, e]
+            turn += before * (after[0, i, e] * after[1, j, e] - after[0, j, e] * after[1, i, e])
+        if turn <= 0.0:
+            return True
+    return False
+
+
+@_compile
 def nodal_forces(g: FloatArray, S: FloatArray, f: FloatArray) -> FloatArray:
     """(n, k dim) forces Σ_pq g_pi S_pq f_q from stresses (2, 2, n) and fibre vectors."""
     _, k, n = g.shape
@@ -500,18 +514,48 @@ def may_touch(y: FloatArray, centre: FloatArray, clear: FloatArray, steepest: fl
 
 
 @_compile
-def contact_law(p: FloatArray, k: float, e: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """φ, φ', φ'' of penetrations (m,)."""
-    value, first, second = np.zeros(len(p)), np.zeros(len(p)), np.zeros(len(p))
-    for i in range(len(p)):
-        depth = p[i]
-        if depth >= e:
-            value[i] = k * (depth**2 / 2 - e * depth / 2 + e**2 / 6)
-            first[i], second[i] = k * (depth - e / 2), k
-        elif depth > 0.0:
-            value[i] = k * (depth * depth**2 / (6 * e))
-            first[i], second[i] = k * (depth**2 / (2 * e)), k * (depth / e)
-    return value, first, second
+def touching(
+    near: IntArray,
+    d: FloatArray,
+    n: FloatArray,
+    bend: FloatArray,
+    y: FloatArray,
+    reach: FloatArray,
+    area: FloatArray,
+    k: float,
+    blend: float,
+    far: float,
+    centre: FloatArray,
+    clear: FloatArray,
+) -> tuple[IntArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """`Acting` from the distances of the points `near`; updates where they are clear."""
+    count = 0
+    for e in range(len(near)):
+        i = near[e]
+        clear[i] = d[e] - (far if d[e] >= far else reach[i])
+        for c in range(3):
+            centre[i, c] = y[i, c]
+        count += clear[i] < 0.0
+    rows, energy, force = np.empty(count, np.int64), np.empty(count), np.empty((count, 3))
+    K, curved = np.empty((count, 3, 3)), np.empty((count, 3, 3))
+    t = 0
+    for e in range(len(near)):
+        i = near[e]
+        p = -clear[i]
+        if p > 0.0:
+            if p < blend:
+                value, first, second = p * p**2 / (6 * blend), p**2 / (2 * blend), p / blend
+            else:
+                value = p**2 / 2 - blend * p / 2 + blend**2 / 6
+                first, second = p - blend / 2, 1.0
+            rows[t], energy[t], push = i, area[i] * k * value, area[i] * k * first
+            for a in range(3):
+                force[t, a] = -push * n[e, a]
+                for b in range(3):
+                    K[t, a, b] = area[i] * k * second * n[e, a] * n[e, b]
+                    curved[t, a, b] = push * bend[e, a, b]
+            t += 1
+    return rows, energy, force, K, curved
 
 
 @_compile
@@ -550,6 +594,19 @@ def friction(
                     across -= s[c] * s[d] / max(length, 1e-300) ** 2
                 K[e, c, d] = stiffness * across
     return energy, force, K
+
+
+@_compile
+def longest_slide(points: FloatArray, anchor: FloatArray, normal: FloatArray) -> float:
+    """Longest way of points (m, 3) from their anchors across the normals, of those with anchors."""
+    longest = 0.0
+    for i in range(len(points)):
+        a0, a1 = points[i, 0] - anchor[i, 0], points[i, 1] - anchor[i, 1]
+        a2 = points[i, 2] - anchor[i, 2]
+        along = a0 * normal[i, 0] + a1 * normal[i, 1] + a2 * normal[i, 2]
+        s0, s1, s2 = a0 - along * normal[i, 0], a1 - along * normal[i, 1], a2 - along * normal[i, 2]
+        longest = max(longest, s0 * s0 + s1 * s1 + s2 * s2)
+    return np.sqrt(longest)
 
 
 # Tools

@@ -95,7 +95,7 @@ class Potential:
 
     def energy(self, x: FloatArray, memory: Memory) -> float:
         """Total energy, mJ."""
-        return float(sum(t.energy(x, s).sum() for t, s in zip(self.terms, memory, strict=True)))
+        return sum(t.total(x, s) for t, s in zip(self.terms, memory, strict=True))
 
     def gradient(self, x: FloatArray, memory: Memory) -> FloatArray:
         """(n_dofs,) derivative by all unknowns, N; zero on the free ones at rest."""

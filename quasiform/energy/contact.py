@@ -27,13 +27,14 @@ that tilts, with
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from scipy.sparse import csr_array
 
 from ..net.blank import Blank
-from ..tools.shapes import Distance, Tool
+from ..tools.shapes import Distance, Rounded, Tool
 from ..unknowns import FloatArray, IntArray, Sheet
 from .term import Term
 
@@ -129,6 +130,11 @@ class Acting:
     stiffness: FloatArray  # (r, 3, 3) second derivatives, or their positive semi-definite part
     bend: FloatArray | None = None  # (r, 3, 3) what is taken from it in the exact one
 
+    @cached_property
+    def total(self) -> float:
+        """Energy of all points, mJ."""
+        return float(self.energy.sum())
+
     def exact(self, convex: bool) -> FloatArray:
         """(r, 3, 3) second derivatives; with `convex` positive semi-definite."""
         return self.stiffness if convex or self.bend is None else self.stiffness - self.bend
@@ -148,6 +154,9 @@ class AtPoints(Term):
         energy, here = np.zeros(len(self.dofs)), self.acting(x, state)
         energy[here.rows] = here.energy
         return energy
+
+    def total(self, x: FloatArray, state: Any) -> float:
+        return self.acting(x, state).total
 
     def gradient(self, x: FloatArray, state: Any = None) -> FloatArray:
         gradient, here = np.zeros(self.dofs.shape), self.acting(x, state)
@@ -276,15 +285,10 @@ class Contact(AtPoints):
         last = self._at(x)
         if last.acting is None:
             near = self._within_reach(last)
-            d, n, H = self.distance(last.y[near])
-            last.clear[near] = d - self.reach[near]
-            if getattr(self.tool.shape, "box", None) is not None:  # there d is not that of the tool
-                far = d >= FAR_OFF
-                last.clear[near[far]] = d[far] - FAR_OFF
-            last.centre[near] = last.y[near]
-            touch = np.flatnonzero(last.clear[near] < 0.0)
-            rows = near[touch]
-            last.acting = self._acting(rows, -last.clear[rows], n[touch], H[touch])
+            exact = isinstance(self.tool.shape, Rounded)  # there is no need of its box
+            d, n, H = (self.tool.shape.distance if exact else self.distance)(last.y[near])
+            boxed = not exact and getattr(self.tool.shape, "box", None) is not None
+            last.acting = self._touching(last, near, d, n, H, FAR_OFF if boxed else np.inf)
         return last.acting
 
     def _within_reach(self, last: _Last) -> IntArray:
@@ -298,12 +302,22 @@ class Contact(AtPoints):
         clear = (last.clear >= 0.0) & (steepest**2 * square < last.clear**2)
         return np.flatnonzero(~clear)  # with those that are nowhere
 
-    def _acting(self, rows: IntArray, p: FloatArray, n: FloatArray, bend: FloatArray) -> Acting:
-        value, first, second = self._law(p)
-        area = self.area[rows]
-        nn = n[:, :, None] * n[:, None, :]
+    def _touching(
+        self, last: _Last, near: IntArray, d: FloatArray, n: FloatArray, H: FloatArray, far: float
+    ) -> Acting:
+        """What acts on the points `near`, from their distances, which beyond `far` are a box's."""
+        if self.kernels:
+            given = last.y, self.reach, self.area, self.compaction, BLEND, far
+            found = self.kernels.touching(near, d, n, H, *given, last.centre, last.clear)
+            return Acting(*found)
+        last.clear[near] = d - np.where(d >= far, far, self.reach[near])
+        last.centre[near] = last.y[near]
+        touch = np.flatnonzero(last.clear[near] < 0.0)
+        rows, n = near[touch], n[touch]
+        value, first, second = self._law(-last.clear[rows])
+        area, nn = self.area[rows], n[:, :, None] * n[:, None, :]
         force = area * first
-        K, bend = (area * second)[:, None, None] * nn, force[:, None, None] * bend
+        K, bend = (area * second)[:, None, None] * nn, force[:, None, None] * H[touch]
         return Acting(rows, area * value, -force[:, None] * n, K, bend)
 
     def in_tool_frame(self, x: FloatArray, arm: FloatArray) -> FloatArray:
@@ -395,8 +409,6 @@ class Contact(AtPoints):
 
     def _law(self, p: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """φ, φ', φ'' of the penetration."""
-        if self.kernels:
-            return self.kernels.contact_law(p, self.compaction, BLEND)
         k, e = self.compaction, BLEND
         p = np.maximum(p, 0.0)
         blend = p < e

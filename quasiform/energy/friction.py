@@ -111,6 +111,9 @@ class Friction(AtPoints):
 
     def slide(self, x: FloatArray, state: Rubbing) -> float:
         """Longest way of a point along the tool from its anchor, mm."""
+        if self.kernels:
+            given = state.anchor, state.normal
+            return self.kernels.longest_slide(self.contact.relative(x), *given)
         rows = np.flatnonzero(~np.isnan(state.anchor[:, 0]))
         return float(self._slide(self.contact.relative(x), state, rows)[1].max(initial=0.0))
 
@@ -148,9 +151,10 @@ class Friction(AtPoints):
     def acting(self, x: FloatArray, state: Rubbing) -> Acting:
         points, last = self.contact.relative(x), self._last
         if last is None or last[0] is not points or last[1] is not state:
-            rows = np.flatnonzero(state.limit > 0)
-            self._last = points, state, self._acting(points, state, rows)
-        return self._last[2]
+            known = last is not None and last[1] is state
+            rows = last[2].rows if known else np.flatnonzero(state.limit > 0)
+            self._last = last = points, state, self._acting(points, state, rows)
+        return last[2]
 
     def _acting(self, points: FloatArray, state: Rubbing, rows: IntArray) -> Acting:
         if self.kernels:

@@ -111,6 +111,12 @@ class Membrane(Term):
         """(n_triangles, 1 or 3) normal times area ratio; in the plane the determinant of F."""
         return cross(*self._at(x)[0]).T
 
+    def turned_over(self, x: FloatArray, trial: FloatArray) -> bool:
+        """Whether a triangle is turned over between two states."""
+        if self.kernels and type(self) is Membrane:
+            return self.kernels.turned_over(self._at(x)[0], self._at(trial)[0])
+        return bool(((self.normals(x) * self.normals(trial)).sum(1) <= 0).any())
+
     def energy(self, x: FloatArray, state: None = None) -> FloatArray:
         _, I4, I6, I8 = self._at(x)
         fabric = self.fabric

@@ -65,6 +65,10 @@ class Term:
         """(n_stencils, n_local, n_local) second derivatives, N/mm; `convex`: semi-definite."""
         raise NotImplementedError
 
+    def total(self, x: FloatArray, state: Any) -> float:
+        """Energy of all stencils, mJ."""
+        return float(self.energy(x, state).sum())
+
     def same(self, a: FloatArray, b: FloatArray) -> bool:
         """Whether two arrays of unknowns (n_dofs,) are equal."""
         return bool(self.kernels.same(a, b) if self.kernels else (a == b).all())

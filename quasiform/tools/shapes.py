@@ -252,7 +252,11 @@ class Placed:
         A = np.asarray(self.axes)
         d, n, H = self.shape.distance((points - np.asarray(self.origin)) @ A)
         # A H A' for all points in one product
-        return d, n @ A.T, (H.reshape(-1, 9) @ np.kron(A, A).T).reshape(-1, 3, 3)
+        return d, n @ A.T, (H.reshape(-1, 9) @ self._twice).reshape(-1, 3, 3)
+
+    @cached_property
+    def _twice(self) -> FloatArray:
+        return np.kron(self.axes, self.axes).T
 
 
 def flipped(shape: Shape) -> Placed:
