@@ -146,6 +146,34 @@ def add_point_stiffness(
 
 
 @_compile
+def three_stages(
+    I: FloatArray,
+    C_ini: float,
+    S_ini: float,
+    C_mid: float,
+    dS_mid: float,
+    C_lo: float,
+    I_lo: float,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Energy, stress and stiffness (n,) of `ThreeStageLaw` at I - I0; S_ini = inf: linear."""
+    W, S, C = np.empty(len(I)), np.empty(len(I)), np.empty(len(I))
+    It, c = S_ini / C_ini, C_ini / dS_mid
+    for e in range(len(I)):
+        x = abs(I[e])
+        if x < It:
+            W[e], S[e], C[e] = 0.5 * C_ini * x**2, C_ini * I[e], C_ini
+            continue
+        y, z = x - It, max(x - I_lo, 0.0)
+        E = -np.expm1(-c * y)  # 1 - exp(-c y)
+        W[e] = 0.5 * C_ini * It**2 + S_ini * y + 0.5 * C_mid * y**2 + dS_mid * (y - E / c)
+        W[e] += C_lo * z * z**2 / 3.0 - C_mid * (E / c**2 - y * (1.0 - E) / c)
+        stress = S_ini + (C_mid * y + dS_mid) * E + C_lo * z**2
+        S[e] = stress if I[e] > 0.0 else -stress
+        C[e] = C_mid * E + (C_mid * y + dS_mid) * c * (1.0 - E) + 2.0 * C_lo * z
+    return W, S, C
+
+
+@_compile
 def fibre_vectors(g: FloatArray, dofs: IntArray, x: FloatArray) -> FloatArray:
     """(2, dim, n) vectors f_p = Σ_i g_pi x_i from g (2, k, n) and the numbers (n, k dim) in x."""
     _, k, n = g.shape

@@ -24,7 +24,7 @@ from skfem import Basis, ElementLineP1
 
 from ..net.blank import Blank
 from ..unknowns import FloatArray, IntArray, Sheet
-from .term import Term
+from .term import Term, frozen
 
 NEIGHBOURS = 9  # of the fit on any mesh, at most; five are needed
 
@@ -131,7 +131,7 @@ class Bending(Term):
         if self._last is None or not self.same(self._last[0], x):
             y = self._combined(x, 4)
             frame = self.kernels.bending_curvature if self.kernels else _curvature
-            self._last = x.copy(), (y, *frame(y))
+            self._last = frozen(x), (y, *frame(y))
         return self._last[1]
 
     def energy(self, x: FloatArray, state: None = None) -> FloatArray:

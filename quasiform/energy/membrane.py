@@ -17,11 +17,13 @@ What a state was evaluated for is kept for the last two: where an iteration is, 
 
 from __future__ import annotations
 
+from dataclasses import astuple
+
 import numpy as np
 
-from ..fabric import shear_angle
+from ..fabric import TabulatedLaw, ThreeStageLaw, shear_angle
 from ..unknowns import FloatArray, IntArray, Sheet
-from .term import Term
+from .term import Term, frozen
 
 
 class Membrane(Term):
@@ -49,13 +51,27 @@ class Membrane(Term):
                 if i:
                     self._last.reverse()
                 return found
-        self._last = [(x.copy(), self._evaluate(x)), *self._last[:1]]
+        self._last = [(frozen(x), self._evaluate(x)), *self._last[:1]]
         return self._last[0][1]
 
     def _evaluate(self, x: FloatArray) -> tuple[FloatArray, ...]:
-        """Fibre vectors (2, dim, n_triangles) and I4, I6, I8."""
-        f = self._fibre_vectors(x)
-        return f, dot(f[0], f[0]), dot(f[0], f[1]), dot(f[1], f[1])
+        """Fibre vectors (2, dim, n), I4, I6, I8, W (n,), S (2, 2, n) and W4'', W6'', W8''."""
+        f, fabric = self._fibre_vectors(x), self.fabric
+        I4, I6, I8 = dot(f[0], f[0]), dot(f[0], f[1]), dot(f[1], f[1])
+        W4, S4, C4 = self._response(fabric.warp, I4, 1.0)
+        W6, S6, C6 = self._response(fabric.shear, I6, 0.0)
+        W8, S8, C8 = self._response(fabric.weft, I8, 1.0)
+        S = np.array([[2.0 * S4, S6], [S6, 2.0 * S8]])
+        return f, I4, I6, I8, W4 + W8 + W6, S, np.array([C4, C6, C8])
+
+    def _response(
+        self, law: ThreeStageLaw | TabulatedLaw, I: FloatArray, I0: float
+    ) -> tuple[FloatArray, ...]:
+        """W, dW/dI and d²W/dI² (n,) of a law, MPa."""
+        if self.kernels and isinstance(law, ThreeStageLaw):
+            stages = (np.inf if value is None else value for value in astuple(law)[1:])
+            return self.kernels.three_stages(I - I0, law.C_ini, *stages)
+        return law.energy(I, I0), law.stress(I, I0), law.stiffness(I, I0)
 
     def _fibre_vectors(self, x: FloatArray) -> FloatArray:
         """(2, dim, n_triangles) fibre vectors, also of a motion."""
@@ -87,7 +103,7 @@ class Membrane(Term):
         if self.kernels and type(self) is Membrane:
             given = self._stress_and_stiffness(x, convex, stress)
             none = self.kernels.NONE[0]
-            self.kernels.membrane_stiffness(self._g, self._at(x)[0], *given, none, values, slots)
+            self.kernels.membrane_stiffness(self._g, *given, none, values, slots)
         else:
             super().add_hessian(values, x, state, convex, slots, stress=stress)
 
@@ -97,7 +113,7 @@ class Membrane(Term):
 
     def invariants(self, x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """I4, I6, I8 of each triangle."""
-        return self._at(x)[1:]
+        return self._at(x)[1:4]
 
     def shear_angle(self, x: FloatArray) -> FloatArray:
         """(n_triangles,) signed shear angle, radians."""
@@ -118,56 +134,38 @@ class Membrane(Term):
         return bool(((self.normals(x) * self.normals(trial)).sum(1) <= 0).any())
 
     def energy(self, x: FloatArray, state: None = None) -> FloatArray:
-        _, I4, I6, I8 = self._at(x)
-        fabric = self.fabric
-        W = fabric.warp.energy(I4, 1.0) + fabric.weft.energy(I8, 1.0) + fabric.shear.energy(I6)
-        return self.volume * W
+        return self.volume * self._at(x)[4]
 
     def stress(self, x: FloatArray) -> FloatArray:
         """(n_triangles, 2, 2) second Piola-Kirchhoff stress in fibre axes, MPa."""
-        return self._stress(x).transpose(2, 0, 1)
-
-    def _stress(self, x: FloatArray) -> FloatArray:
-        I4, I6, I8 = self.invariants(x)
-        S = np.empty((2, 2, len(I4)))
-        S[0, 0] = 2.0 * self.fabric.warp.stress(I4, 1.0)
-        S[0, 1] = S[1, 0] = self.fabric.shear.stress(I6)
-        S[1, 1] = 2.0 * self.fabric.weft.stress(I8, 1.0)
-        return S
+        return self._at(x)[5].transpose(2, 0, 1)
 
     def gradient(self, x: FloatArray, state: None = None) -> FloatArray:
-        S = self.volume * self._stress(x)
-        return self._forces(self._g, S, self._at(x)[0])
+        f, *_, S, _ = self._at(x)
+        return self._forces(self._g, self.volume * S, f)
 
     def foreseen_stress(self, x: FloatArray, dx: FloatArray) -> FloatArray:
         """(2, 2, n_triangles) stress that the linearisation at x foresees after a step, MPa."""
-        f, I4, I6, I8 = self._at(x)
-        df = self._fibre_vectors(dx)
-        S, fabric = self._stress(x), self.fabric
-        S[0, 0] += 4.0 * fabric.warp.stiffness(I4, 1.0) * dot(f[0], df[0])
-        S[1, 1] += 4.0 * fabric.weft.stiffness(I8, 1.0) * dot(f[1], df[1])
-        S[0, 1] += fabric.shear.stiffness(I6) * (dot(f[0], df[1]) + dot(f[1], df[0]))
+        f, *_, S, (W4, W6, W8) = self._at(x)
+        df, S = self._fibre_vectors(dx), S.copy()
+        S[0, 0] += 4.0 * W4 * dot(f[0], df[0])
+        S[1, 1] += 4.0 * W8 * dot(f[1], df[1])
+        S[0, 1] += W6 * (dot(f[0], df[1]) + dot(f[1], df[0]))
         S[1, 0] = S[0, 1]
         return S
 
     def hessian(
         self, x: FloatArray, state: None, convex: bool, stress: FloatArray | None = None
     ) -> FloatArray:
-        f, S_W = self._at(x)[0], self._stress_and_stiffness(x, convex, stress)
-        return self._stiffness(self._g, f, *S_W)
+        return self._stiffness(self._g, *self._stress_and_stiffness(x, convex, stress))
 
     def _stress_and_stiffness(
         self, x: FloatArray, convex: bool, stress: FloatArray | None
-    ) -> tuple[FloatArray, FloatArray]:
-        """S (2, 2, n) and W4'', W6'', W8'' (3, n), times the volume."""
-        _, I4, I6, I8 = self._at(x)
-        fabric, S = self.fabric, self._stress(x) if stress is None else stress
-        W = (
-            fabric.warp.stiffness(I4, 1.0),
-            fabric.shear.stiffness(I6),
-            fabric.weft.stiffness(I8, 1.0),
-        )
-        return self.volume * (clamp(S) if convex else S), self.volume * np.stack(W)
+    ) -> tuple[FloatArray, ...]:
+        """Fibre vectors; S (2, 2, n) and W4'', W6'', W8'' (3, n), times the volume."""
+        f, *_, S, W = self._at(x)
+        S = S if stress is None else stress
+        return f, self.volume * (clamp(S) if convex else S), self.volume * W
 
 
 class PairedMembrane(Membrane):

@@ -71,7 +71,7 @@ class Term:
 
     def same(self, a: FloatArray, b: FloatArray) -> bool:
         """Whether two arrays of unknowns (n_dofs,) are equal."""
-        return bool(self.kernels.same(a, b) if self.kernels else (a == b).all())
+        return a is b or bool((self.kernels.same if self.kernels else np.array_equal)(a, b))
 
     def add_gradient(self, out: FloatArray, x: FloatArray, state: Any) -> None:
         """Add the gradient to `out` (n_dofs,), N."""
@@ -153,6 +153,14 @@ class Standing:
     def places(self) -> FloatArray:
         """(n_stencils, 2) mean flat place of the unknowns of each stencil, mm."""
         return np.nanmean(self.unknowns.places()[self.term.stencils(self.state)], axis=1)
+
+
+def frozen(x: FloatArray) -> FloatArray:
+    """Return an array that nobody can change: a copy, unless x is one."""
+    if x.flags.writeable or not x.flags.owndata:
+        x = x.copy()
+        x.flags.writeable = False
+    return x
 
 
 def check_state(term: Term, state: Any, *before: Any) -> Any:
