@@ -148,6 +148,7 @@ def add_point_stiffness(
 @_compile
 def three_stages(
     I: FloatArray,
+    I0: float,
     C_ini: float,
     S_ini: float,
     C_mid: float,
@@ -155,20 +156,20 @@ def three_stages(
     C_lo: float,
     I_lo: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Energy, stress and stiffness (n,) of `ThreeStageLaw` at I - I0; S_ini = inf: linear."""
+    """Energy, stress and stiffness (n,) of `ThreeStageLaw` at I; with S_ini = inf it is linear."""
     W, S, C = np.empty(len(I)), np.empty(len(I)), np.empty(len(I))
     It, c = S_ini / C_ini, C_ini / dS_mid
     for e in range(len(I)):
-        x = abs(I[e])
+        x = abs(I[e] - I0)
         if x < It:
-            W[e], S[e], C[e] = 0.5 * C_ini * x**2, C_ini * I[e], C_ini
+            W[e], S[e], C[e] = 0.5 * C_ini * x**2, C_ini * (I[e] - I0), C_ini
             continue
         y, z = x - It, max(x - I_lo, 0.0)
         E = -np.expm1(-c * y)  # 1 - exp(-c y)
         W[e] = 0.5 * C_ini * It**2 + S_ini * y + 0.5 * C_mid * y**2 + dS_mid * (y - E / c)
         W[e] += C_lo * z * z**2 / 3.0 - C_mid * (E / c**2 - y * (1.0 - E) / c)
         stress = S_ini + (C_mid * y + dS_mid) * E + C_lo * z**2
-        S[e] = stress if I[e] > 0.0 else -stress
+        S[e] = stress if I[e] > I0 else -stress
         C[e] = C_mid * E + (C_mid * y + dS_mid) * c * (1.0 - E) + 2.0 * C_lo * z
     return W, S, C
 
@@ -186,6 +187,19 @@ def fibre_vectors(g: FloatArray, dofs: IntArray, x: FloatArray) -> FloatArray:
                 f[0, c, e] += g[0, i, e] * place
                 f[1, c, e] += g[1, i, e] * place
     return f
+
+
+@_compile
+def invariants(f: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """I4, I6, I8 (n,) of fibre vectors (2, dim, n)."""
+    n = f.shape[2]
+    I4, I6, I8 = np.zeros(n), np.zeros(n), np.zeros(n)
+    for c in range(f.shape[1]):
+        for e in range(n):
+            I4[e] += f[0, c, e] * f[0, c, e]
+            I6[e] += f[0, c, e] * f[1, c, e]
+            I8[e] += f[1, c, e] * f[1, c, e]
+    return I4, I6, I8
 
 
 @_compile

@@ -18,6 +18,7 @@ What a state was evaluated for is kept for the last two: where an iteration is, 
 from __future__ import annotations
 
 from dataclasses import astuple
+from functools import cache
 
 import numpy as np
 
@@ -57,7 +58,10 @@ class Membrane(Term):
     def _evaluate(self, x: FloatArray) -> tuple[FloatArray, ...]:
         """Fibre vectors (2, dim, n), I4, I6, I8, W (n,), S (2, 2, n) and W4'', W6'', W8''."""
         f, fabric = self._fibre_vectors(x), self.fabric
-        I4, I6, I8 = dot(f[0], f[0]), dot(f[0], f[1]), dot(f[1], f[1])
+        if self.kernels:
+            I4, I6, I8 = self.kernels.invariants(f)
+        else:
+            I4, I6, I8 = dot(f[0], f[0]), dot(f[0], f[1]), dot(f[1], f[1])
         W4, S4, C4 = self._response(fabric.warp, I4, 1.0)
         W6, S6, C6 = self._response(fabric.shear, I6, 0.0)
         W8, S8, C8 = self._response(fabric.weft, I8, 1.0)
@@ -69,8 +73,7 @@ class Membrane(Term):
     ) -> tuple[FloatArray, ...]:
         """W, dW/dI and d²W/dI² (n,) of a law, MPa."""
         if self.kernels and isinstance(law, ThreeStageLaw):
-            stages = (np.inf if value is None else value for value in astuple(law)[1:])
-            return self.kernels.three_stages(I - I0, law.C_ini, *stages)
+            return self.kernels.three_stages(I, I0, *_stages(law))
         return law.energy(I, I0), law.stress(I, I0), law.stiffness(I, I0)
 
     def _fibre_vectors(self, x: FloatArray) -> FloatArray:
@@ -272,6 +275,12 @@ class PairedMembrane(Membrane):
 def membrane_of(sheet: Sheet) -> Membrane:
     """Return the membrane energy that fits the mesh of a sheet."""
     return (Membrane if sheet.blank.pairs is None else PairedMembrane)(sheet)
+
+
+@cache
+def _stages(law: ThreeStageLaw) -> tuple[float, ...]:
+    """Numbers of a law; infinite those that a linear one has not."""
+    return tuple(np.inf if value is None else float(value) for value in astuple(law))
 
 
 def dot(a: FloatArray, b: FloatArray) -> FloatArray:
