@@ -103,43 +103,54 @@ def add_point_forces(
         out[dofs[row, last]] += shares[row, last] * forces[e, 2]
 
 
+@_compile
+def gather(K: FloatArray, acts: np.ndarray, rows: IntArray, of_rows: FloatArray) -> None:
+    """Add stiffnesses (r, 3, 3) of points `rows` to those of all points, K (m, 3, 3)."""
+    for e in range(len(rows)):
+        acts[rows[e]] = True
+        for a in range(3):
+            for b in range(3):
+                K[rows[e], a, b] += of_rows[e, a, b]
+
+
 @_inline
 def _add_points(
     values: FloatArray,
-    rows: IntArray,
+    acts: np.ndarray,
     slots: IntArray,
     shares: FloatArray,
     K: FloatArray,
     nodes: int,
 ) -> None:
-    for e in range(len(rows)):
-        row, p = rows[e], 0
-        tool = shares[row, 3 * nodes]
+    for e in range(len(acts)):
+        if not acts[e]:
+            continue
+        tool, p = shares[e, 3 * nodes], 0
         for i in range(nodes):
             for a in range(3):
-                weight = shares[row, 3 * i + a]
+                weight = shares[e, 3 * i + a]
                 if weight == 0.0:  # no neighbour there
                     p += 3 * (nodes - i) + 1 - a
                     continue
                 for j in range(i, nodes):
                     for b in range(a if j == i else 0, 3):
-                        share = weight * shares[row, 3 * j + b]
-                        _add(values, slots[row, p], share * K[e, a, b])
+                        share = weight * shares[e, 3 * j + b]
+                        _add(values, slots[e, p], share * K[e, a, b])
                         p += 1
-                _add(values, slots[row, p], weight * tool * K[e, a, 2])
+                _add(values, slots[e, p], weight * tool * K[e, a, 2])
                 p += 1
-        _add(values, slots[row, p], tool * tool * K[e, 2, 2])
+        _add(values, slots[e, p], tool * tool * K[e, 2, 2])
 
 
 @_compile
 def add_point_stiffness(
-    values: FloatArray, rows: IntArray, slots: IntArray, shares: FloatArray, K: FloatArray
+    values: FloatArray, acts: np.ndarray, slots: IntArray, shares: FloatArray, K: FloatArray
 ) -> None:
-    """Add stiffnesses K (m, 3, 3) of points `rows`, as seen by their nodes and by the tool."""
+    """Add stiffnesses K (m, 3, 3) of points that act (m,), as seen by their nodes and the tool."""
     if shares.shape[1] == 16:
-        _add_points(values, rows, slots, shares, K, 5)
+        _add_points(values, acts, slots, shares, K, 5)
     else:
-        _add_points(values, rows, slots, shares, K, (shares.shape[1] - 1) // 3)
+        _add_points(values, acts, slots, shares, K, (shares.shape[1] - 1) // 3)
 
 
 # Membrane
@@ -294,6 +305,28 @@ def membrane_stiffness(
 # Bending
 
 
+@_inline
+def _combine(
+    y: FloatArray,
+    rows: FloatArray,
+    constant: FloatArray,
+    dofs: IntArray,
+    x: FloatArray,
+    k: int,
+    dim: int,
+) -> None:
+    place = np.empty(k * dim)
+    for e in range(len(y)):
+        for i in range(k * dim):
+            place[i] = x[dofs[e, i]]
+        for r in range(y.shape[1]):
+            for c in range(dim):
+                total = constant[e, r, c]
+                for i in range(k):
+                    total += rows[e, r, i, c] * place[dim * i + c]
+                y[e, r, c] = total
+
+
 @_compile
 def combine(
     rows: FloatArray, constant: FloatArray, dofs: IntArray, x: FloatArray, count: int
@@ -301,26 +334,33 @@ def combine(
     """(m, count, dim) first combinations of the nodes (m, k dim) by rows (m, 4, k, dim)."""
     m, _, k, dim = rows.shape
     y = np.empty((m, count, dim))
-    for e in range(m):
-        for r in range(count):
-            for c in range(dim):
-                total = constant[e, r, c]
-                for i in range(k):
-                    total += rows[e, r, i, c] * x[dofs[e, dim * i + c]]
-                y[e, r, c] = total
+    if k == 5 and dim == 3:
+        _combine(y, rows, constant, dofs, x, 5, 3)
+    else:
+        _combine(y, rows, constant, dofs, x, k, dim)
     return y
+
+
+@_inline
+def _spread(nodal: FloatArray, rows: FloatArray, forces: FloatArray, k: int, dim: int) -> None:
+    for e in range(len(nodal)):
+        for i in range(k):
+            for c in range(dim):
+                total = 0.0
+                for r in range(forces.shape[1]):
+                    total += rows[e, r, i, c] * forces[e, r, c]
+                nodal[e, dim * i + c] = total
 
 
 @_compile
 def spread(rows: FloatArray, forces: FloatArray) -> FloatArray:
     """(m, k dim) nodal forces from forces (m, count, dim) on these combinations."""
     m, _, k, dim = rows.shape
-    nodal = np.zeros((m, k * dim))
-    for e in range(m):
-        for r in range(forces.shape[1]):
-            for i in range(k):
-                for c in range(dim):
-                    nodal[e, dim * i + c] += rows[e, r, i, c] * forces[e, r, c]
+    nodal = np.empty((m, k * dim))
+    if k == 5 and dim == 3:
+        _spread(nodal, rows, forces, 5, 3)
+    else:
+        _spread(nodal, rows, forces, k, dim)
     return nodal
 
 

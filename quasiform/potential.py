@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.sparse import csr_array
 
+from .energy.contact import AtPoints
 from .energy.term import Term, check_state, frozen
 from .unknowns import FloatArray, IntArray
 
@@ -59,9 +60,14 @@ class Potential:
         places = {of: self._slots(*pair) for of, pair in pairs.items()}
         self._shares = [_Share(dofs, places[id(dofs)]) for dofs in tables]
         self._constant, at_rest = np.zeros(len(keys) + 1), np.zeros(len(self.free))
-        for term, share in zip(self.terms, self._shares, strict=True):
+        groups: dict[Any, list[int]] = {}
+        for i, (term, share) in enumerate(zip(self.terms, self._shares, strict=True)):
             if term.quadratic:
                 term.add_hessian(self._constant, at_rest, None, False, share.slots)
+            else:  # terms at the points of one contact are summed together
+                group = (id(share.dofs), AtPoints) if isinstance(term, AtPoints) else i
+                groups.setdefault(group, []).append(i)
+        self._groups = list(groups.values())
 
     def _pairs(self, dofs: IntArray) -> tuple[IntArray, np.ndarray]:
         """Key of each pair of a stencil's unknowns, and whether the two are one unknown."""
@@ -128,12 +134,17 @@ class Potential:
         unknowns; zeros without one.
         """
         x, values = self._known(x), self._constant.copy()
+        for members in self._groups:
+            states = [(self.terms[i], memory[i]) for i in members]
+            first, slots = states[0][0], self._shares[members[0]].slots
+            foreseen = {"stress": stress} if first.foresees else {}
+            first.add_hessians(values, x, states, convex, slots, **foreseen)
+        if motion is None:
+            return values[:-1], np.zeros(self._n)
         load = np.zeros(len(x))
         for term, state, share in zip(self.terms, memory, self._shares, strict=True):
-            foreseen = {"stress": stress} if term.foresees else {}
-            if not term.quadratic:  # else it is in the constant
-                term.add_hessian(values, x, state, convex, share.slots, **foreseen)
-            if motion is not None and (moved := motion[share.dofs]).any():
+            if (moved := motion[share.dofs]).any():
+                foreseen = {"stress": stress} if term.foresees else {}
                 H = term.hessian(x, state, convex, **foreseen)
                 push = (H @ moved[:, :, None])[:, :, 0]
                 load += np.bincount(share.dofs.ravel(), push.ravel(), minlength=len(x))

@@ -26,6 +26,7 @@ that tilts, with
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -188,16 +189,18 @@ class AtPoints(Term):
         forces = contact.pull_back(x, here.force, here.rows)
         out += np.bincount(self.dofs[here.rows].ravel(), forces.ravel(), minlength=len(out))
 
-    def add_hessian(
-        self, values: FloatArray, x: FloatArray, state: Any, convex: bool, slots: IntArray
+    def add_hessians(
+        self, values: FloatArray, x: FloatArray, states: Sequence, convex: bool, slots: IntArray
     ) -> None:
-        """Add the Hessian to the values of a pattern, at slots of `Potential`."""
-        here, contact = self.acting(x, state), self.contact
-        if self.kernels and not contact.tool.tilts:
-            given = slots, contact.shares, here.exact(convex)
-            self.kernels.add_point_stiffness(values, here.rows, *given)
+        if not self.kernels or self.contact.tool.tilts:
+            super().add_hessians(values, x, states, convex, slots)
             return
-        super().add_hessian(values, x, state, convex, slots)
+        # what acts at a point is summed before it is spread to the nodes
+        K, acts = np.zeros((len(self.dofs), 3, 3)), np.zeros(len(self.dofs), dtype=bool)
+        for term, state in states:
+            here = term.acting(x, state)
+            self.kernels.gather(K, acts, here.rows, here.exact(convex))
+        self.kernels.add_point_stiffness(values, acts, slots, self.contact.shares, K)
 
 
 class Contact(AtPoints):

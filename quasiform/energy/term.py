@@ -19,6 +19,7 @@ in `solve`, for every term with these functions.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any
 
@@ -109,6 +110,13 @@ class Term:
             upper[twice] *= 2.0
             slots = np.where(twice, ~slots, slots)
         values += np.bincount(slots.ravel(), upper.ravel(), minlength=len(values))
+
+    def add_hessians(
+        self, values: FloatArray, x: FloatArray, states: Sequence, *given: Any, **stress: Any
+    ) -> None:
+        """Add those of terms of this class with the same stencils, pairs of term and state."""
+        for term, state in states:
+            term.add_hessian(values, x, state, *given, **stress)
 
     def initial(self, x: FloatArray) -> Any:
         """State at the start of a run, at x (n_dofs,): a frozen dataclass of arrays, or None."""
