@@ -22,7 +22,7 @@ NONE = np.empty((0, 0, 0)), np.empty(0), np.empty((0, 0), np.int32)
 
 def _compile(function: Any) -> Any:
     """Compile without a cache where no folder for one can be written to."""
-    options = {"nogil": True, "fastmath": {"contract"}}
+    options = {"fastmath": {"contract"}}
     try:
         return numba.njit(cache=True, **options)(function)
     except RuntimeError:  # no locator available

@@ -3,6 +3,8 @@
 A term is tested by being listed in `FREE`, `ON_TOOLS` or `HELD`.
 """
 
+import subprocess
+import sys
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
@@ -648,9 +650,11 @@ def test_stencils_that_do_not_act_are_left_out_without_loss(name, convex):
 
 @pytest.mark.skipif(compiled is None, reason="needs numba")
 def test_compiled_loops_agree_with_plain_ones(case, monkeypatch):
-    """Energies, forces and stiffnesses, by stencil and summed."""
-    term, memory = case.term, (case.state,)
-    sums = Potential([term], np.ones(len(case.x), dtype=bool), memory)
+    """Energies, forces and stiffnesses, by stencil and summed; friction with its contact."""
+    term, terms, memory = case.term, [case.term], (case.state,)
+    if isinstance(term, Friction):
+        terms, memory = [term.contact, term], (None, case.state)
+    sums = Potential(terms, np.ones(len(case.x), dtype=bool), memory)
 
     def evaluated(x):
         yield term.energy(x, case.state)
@@ -669,6 +673,19 @@ def test_compiled_loops_agree_with_plain_ones(case, monkeypatch):
                 list(evaluated(other))
             for a, b in zip(fast, evaluated(x), strict=True):
                 assert_allclose(a, b, rtol=0, atol=1e-12 * np.abs(b).max())
+
+
+@pytest.mark.skipif(compiled is None, reason="needs numba")
+def test_loops_are_compiled_where_no_folder_can_be_written_to():
+    code = """
+import numpy as np
+from numba.core import caching
+caching.CacheImpl._locator_classes = []
+from quasiform import compiled
+assert compiled.same(np.ones(3), np.ones(3))
+assert not compiled.same.stats.cache_path
+"""
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 @pytest.mark.parametrize("name", [name for name in ON_TOOLS if name.startswith("contact")])
