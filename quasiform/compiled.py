@@ -406,8 +406,9 @@ def _slopes(
     y: FloatArray, f: int, kappa: float, n: FloatArray, length: float, q: FloatArray, d: FloatArray
 ) -> None:
     """Set q = (k - κ n)/|u x v| and the derivatives d (12,) of the curvature of family f."""
+    per = 1.0 / length
     for c in range(3):
-        q[c] = (y[f, c] - kappa * n[c]) / length
+        q[c] = (y[f, c] - kappa * n[c]) * per
         d[3 * f + c], d[3 * (1 - f) + c] = n[c], 0.0
     _cross(d[6:9], y[3], q)
     _cross(d[9:12], q, y[2])
@@ -448,12 +449,12 @@ def _curved(
 ) -> None:
     """Add what the second derivative of κ contributes to H (12, 12): w = B κ, total = Σ w κ."""
     P, PM, CM = np.empty((3, 3)), np.empty((3, 6)), np.empty(6)
-    C, u, v = np.empty((3, 3)), y[2], y[3]
+    C, u, v, per = np.empty((3, 3)), y[2], y[3], 1.0 / length
     # with m = u x v: P = (1 - n n')/|m|; P and C times the derivative of m by u and v
     for a in range(3):
         for b in range(3):
-            P[a, b] = ((1.0 if a == b else 0.0) - n[a] * n[b]) / length
-            C[a, b] = -(n[a] * Q[b] + Q[a] * n[b] + total * P[a, b]) / length
+            P[a, b] = ((1.0 if a == b else 0.0) - n[a] * n[b]) * per
+            C[a, b] = -(n[a] * Q[b] + Q[a] * n[b] + total * P[a, b]) * per
         _cross(PM[a, :3], v, P[a])
         _cross(PM[a, 3:], P[a], u)
         for f in range(2):

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from .energy.contact import AtPoints
-from .energy.term import Term, check_state, frozen
+from .energy.term import Term, check_state, frozen, same
 from .unknowns import FloatArray, IntArray
 
 Memory = tuple[Any, ...]  # the states of all terms, in their order; owned by a run
@@ -102,7 +102,7 @@ class Potential:
 
     def _known(self, x: FloatArray) -> FloatArray:
         """A frozen copy of x, the last one where that is equal: terms then compare no numbers."""
-        if not np.array_equal(self._last, x):
+        if not same(self._last, x):
             self._last = frozen(x)
         return self._last
 

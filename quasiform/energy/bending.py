@@ -24,7 +24,7 @@ from skfem import Basis, ElementLineP1
 
 from ..net.blank import Blank
 from ..unknowns import FloatArray, IntArray, Sheet
-from .term import Term, frozen
+from .term import Term, frozen, same
 
 NEIGHBOURS = 9  # of the fit on any mesh, at most; five are needed
 
@@ -128,7 +128,7 @@ class Bending(Term):
 
     def _at(self, x: FloatArray) -> tuple[FloatArray, ...]:
         """(n_stencils, 4, 3) k_warp, k_weft, u and v, κ, n and |u x v|; kept for the last x."""
-        if self._last is None or not self.same(self._last[0], x):
+        if self._last is None or not same(self._last[0], x):
             y = self._combined(x, 4)
             frame = self.kernels.bending_curvature if self.kernels else _curvature
             self._last = frozen(x), (y, *frame(y))

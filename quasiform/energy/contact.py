@@ -37,7 +37,7 @@ from scipy.sparse import csr_array
 from ..net.blank import Blank
 from ..tools.shapes import Distance, Rounded, Tool
 from ..unknowns import FloatArray, IntArray, Sheet
-from .term import Term, frozen
+from .term import Term, frozen, same
 
 BLEND = 0.05  # e, mm
 LEVER = 100.0  # L, mm: tilts are measured by the motion of a point at this distance
@@ -279,7 +279,7 @@ class Contact(AtPoints):
     def _at(self, x: FloatArray) -> _Last:
         """What is kept for the last x."""
         last = self._last
-        if last.x is None or not self.same(last.x, x):
+        if last.x is None or not same(last.x, x):
             last.x, last.all, last.acting = frozen(x), None, None
             last.y = self.in_tool_frame(x, self.arm(x))
         return last

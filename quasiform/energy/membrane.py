@@ -24,7 +24,7 @@ import numpy as np
 
 from ..fabric import TabulatedLaw, ThreeStageLaw, shear_angle
 from ..unknowns import FloatArray, IntArray, Sheet
-from .term import Term, frozen
+from .term import Term, frozen, same
 
 
 class Membrane(Term):
@@ -48,7 +48,7 @@ class Membrane(Term):
     def _at(self, x: FloatArray) -> tuple[FloatArray, ...]:
         """What `_evaluate` returns, kept for the last two x."""
         for i, (known, found) in enumerate(self._last):
-            if self.same(known, x):
+            if same(known, x):
                 if i:
                     self._last.reverse()
                 return found

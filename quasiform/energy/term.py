@@ -70,10 +70,6 @@ class Term:
         """Energy of all stencils, mJ."""
         return float(self.energy(x, state).sum())
 
-    def same(self, a: FloatArray, b: FloatArray) -> bool:
-        """Whether two arrays of unknowns (n_dofs,) are equal."""
-        return a is b or bool((self.kernels.same if self.kernels else np.array_equal)(a, b))
-
     def add_gradient(self, out: FloatArray, x: FloatArray, state: Any) -> None:
         """Add the gradient to `out` (n_dofs,), N."""
         dofs, forces = self.stencils(state), self.gradient(x, state)
@@ -169,6 +165,11 @@ def frozen(x: FloatArray) -> FloatArray:
         x = x.copy()
         x.flags.writeable = False
     return x
+
+
+def same(a: FloatArray, b: FloatArray) -> bool:
+    """Whether two arrays of unknowns (n_dofs,) are equal."""
+    return a is b or bool((Term.kernels.same if Term.kernels else np.array_equal)(a, b))
 
 
 def check_state(term: Term, state: Any, *before: Any) -> Any:

@@ -186,8 +186,13 @@ class Opening:
     def sharpest(self) -> float:
         return self.fillet
 
+    @cached_property
+    def _ends(self) -> FloatArray:
+        """(2, 2) corners in the plane, beyond which the plate is flat, mm."""
+        return self.hole.box[:, :2] + [[-self.fillet], [self.fillet]]
+
     def distance(self, points: FloatArray) -> Distance:
-        low, high = self.hole.box[:, :2] + [[-self.fillet], [self.fillet]]
+        low, high = self._ends
         if self.hole.kernels:
             given = self.hole._features, self.hole.radius, self.fillet, low, high
             return self.hole.kernels.opening(np.ascontiguousarray(points), *given)
