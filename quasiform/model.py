@@ -208,5 +208,4 @@ class Model:
 
     def turned_over(self, x: FloatArray, trial: FloatArray) -> bool:
         """Whether a triangle is turned over between two states."""
-        turns = ((m.normals(x) * m.normals(trial)).sum(1) for m in self.membranes)
-        return any(bool((turn <= 0).any()) for turn in turns)
+        return any(membrane.turned_over(x, trial) for membrane in self.membranes)

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from scipy.sparse import csr_array
 
-from .energy.term import Term, check_state
+from .energy.contact import AtPoints
+from .energy.term import Term, check_state, frozen, same
 from .unknowns import FloatArray, IntArray
 
 Memory = tuple[Any, ...]  # the states of all terms, in their order; owned by a run
@@ -17,12 +18,10 @@ Memory = tuple[Any, ...]  # the states of all terms, in their order; owned by a 
 
 @dataclass(frozen=True, eq=False)
 class _Share:
-    """Where the Hessians of a term go: by stencil if few act at a time, else as the sum of all."""
+    """Where the Hessians of a term go."""
 
     dofs: IntArray
-    slots: IntArray | None = None  # (n_stencils, n_pairs) places in the pattern
-    counts: IntArray | None = None  # 2 where two unknowns of a stencil are one
-    total: csr_array | None = None
+    slots: IntArray  # (n_stencils, n_pairs) places in the pattern, ~place where it counts twice
 
 
 class Potential:
@@ -32,6 +31,7 @@ class Potential:
         self.terms, self.free = list(terms), free
         self._number = np.where(free, np.cumsum(free) - 1, -1)
         self._n = int(free.sum())
+        self._last = np.empty(0)
         self._keys = np.empty(0, dtype=np.int64)
         self._lay_out([term.stencils(s) for term, s in zip(self.terms, memory, strict=True)])
 
@@ -47,45 +47,45 @@ class Potential:
     def _lay_out(self, tables: list[IntArray]) -> None:
         """Find the places of all stencils in the pattern, which grows where it lacks one."""
         n = self._n
-        pairs = [self._pairs(dofs) for dofs in tables]
-        wanted = [key.ravel() for key, _ in pairs]
-        diagonal = np.arange(n) * (n + 1)
-        keys, slots = np.unique(
-            np.concatenate([*wanted, diagonal, [n * n], self._keys]), return_inverse=True
-        )
+        # friction has the table of its contact
+        pairs = {id(dofs): self._pairs(dofs) for dofs in tables}
+        wanted = np.concatenate([key.ravel() for key, _ in pairs.values()])
+        wanted = np.concatenate([wanted[wanted >= 0], np.arange(n) * (n + 1), self._keys])
+        wanted.sort()
+        keys = wanted[np.append(True, wanted[1:] > wanted[:-1])]
         if len(keys) > len(self._keys):
-            nnz = len(keys) - 1
             indptr = np.searchsorted(keys, np.arange(n + 1) * n)
             self._keys = keys
-            self.pattern = csr_array((np.zeros(nnz), keys[:-1] % n, indptr), shape=(n, n))
-        dofs = np.concatenate([table.T.ravel() for table in tables])
-        ones, local = np.ones(len(dofs)), np.arange(len(dofs))
-        self._sum_of_gradients = csr_array((ones, (dofs, local)), (len(self.free), len(dofs)))
-        self._constant = np.zeros(len(keys))
-        self._shares: list[_Share] = []
-        for term, table, (key, counts) in zip(self.terms, tables, pairs, strict=True):
-            own, slots = slots[: key.size].reshape(key.shape), slots[key.size :]
-            if term.selective:
-                self._shares.append(_Share(table, own.astype(np.int32), counts))
-                continue
-            m, k = table.shape
-            i, j = np.triu_indices(k)
-            place = (i * k + j) * m + np.arange(m)[:, None]  # in an array with the stencils last
-            entries = counts.ravel().astype(float), (own.ravel(), place.ravel())
-            total = csr_array(entries, shape=(len(keys), k * k * m))
+            self.pattern = csr_array((np.zeros(len(keys)), keys % n, indptr), shape=(n, n))
+        places = {of: self._slots(*pair) for of, pair in pairs.items()}
+        self._shares = [_Share(dofs, places[id(dofs)]) for dofs in tables]
+        self._constant, at_rest = np.zeros(len(keys) + 1), np.zeros(len(self.free))
+        groups: dict[Any, list[int]] = {}
+        for i, (term, share) in enumerate(zip(self.terms, self._shares, strict=True)):
             if term.quadratic:
-                H = term.hessian(np.zeros(len(self.free)), None, False)
-                self._constant += total @ H.T.ravel()
-            self._shares.append(_Share(table, total=None if term.quadratic else total))
+                term.add_hessian(self._constant, at_rest, None, False, share.slots)
+            else:  # terms at the points of one contact are summed together
+                group = (id(share.dofs), AtPoints) if isinstance(term, AtPoints) else i
+                groups.setdefault(group, []).append(i)
+        self._groups = list(groups.values())
 
-    def _pairs(self, dofs: IntArray) -> tuple[IntArray, IntArray]:
-        """Key of each pair of a stencil's unknowns, and how often it counts on the diagonal."""
+    def _pairs(self, dofs: IntArray) -> tuple[IntArray, np.ndarray]:
+        """Key of each pair of a stencil's unknowns, and whether the two are one unknown."""
         i, j = np.triu_indices(dofs.shape[1])
-        a, b = self._number[dofs[:, i]], self._number[dofs[:, j]]
+        number = self._number[dofs]
+        a, b = number[:, i], number[:, j]
         low, high = np.minimum(a, b), np.maximum(a, b)
-        key = np.where(low < 0, self._n**2, low * self._n + high)  # prescribed: a last slot
-        # where two of a stencil are one unknown, H_ij and H_ji fall on its diagonal
-        return key, np.where((a == b) & (i != j), 2, 1).astype(np.int8)
+        key = np.where(low < 0, -1, low * self._n + high)  # -1: prescribed
+        return key, (a == b) & (i != j)
+
+    def _slots(self, key: IntArray, twice: np.ndarray) -> IntArray:
+        """Places of keys in the pattern; the last place of all for what is prescribed.
+
+        Where two unknowns of a stencil are one, H_ij and H_ji fall on its diagonal: ~place.
+        """
+        places = np.searchsorted(self._keys, key.ravel()).astype(np.int32).reshape(key.shape)
+        places[key < 0] = len(self._keys)
+        return np.where(twice, ~places, places)
 
     def refresh(self, x: FloatArray, memory: Memory) -> Memory:
         return tuple(t.refresh(x, s) for t, s in zip(self.terms, memory, strict=True))
@@ -100,15 +100,23 @@ class Potential:
         states = zip(self.terms, before, after, strict=True)
         return float(sum(t.dissipated(b, a, x) for t, b, a in states))
 
+    def _known(self, x: FloatArray) -> FloatArray:
+        """A frozen copy of x, the last one where that is equal: terms then compare no numbers."""
+        if not same(self._last, x):
+            self._last = frozen(x)
+        return self._last
+
     def energy(self, x: FloatArray, memory: Memory) -> float:
         """Total energy, mJ."""
-        return float(sum(t.energy(x, s).sum() for t, s in zip(self.terms, memory, strict=True)))
+        x = self._known(x)
+        return sum(t.total(x, s) for t, s in zip(self.terms, memory, strict=True))
 
     def gradient(self, x: FloatArray, memory: Memory) -> FloatArray:
         """(n_dofs,) derivative by all unknowns, N; zero on the free ones at rest."""
-        return self._sum_of_gradients @ np.concatenate(
-            [t.gradient(x, s).T.ravel() for t, s in zip(self.terms, memory, strict=True)]
-        )
+        x, g = self._known(x), np.zeros(len(x))
+        for term, state in zip(self.terms, memory, strict=True):
+            term.add_gradient(g, x, state)
+        return g
 
     def hessian(
         self,
@@ -125,25 +133,19 @@ class Potential:
         is the change of the free forces (n_free,), N, under a motion (n_dofs,) of the prescribed
         unknowns; zeros without one.
         """
-        values = self._constant.copy()
+        x, values = self._known(x), self._constant.copy()
+        for members in self._groups:
+            states = [(self.terms[i], memory[i]) for i in members]
+            first, slots = states[0][0], self._shares[members[0]].slots
+            foreseen = {"stress": stress} if first.foresees else {}
+            first.add_hessians(values, x, states, convex, slots, **foreseen)
+        if motion is None:
+            return values[:-1], np.zeros(self._n)
         load = np.zeros(len(x))
         for term, state, share in zip(self.terms, memory, self._shares, strict=True):
-            dofs = share.dofs
-            if share.slots is not None:
-                rows = term.active(x, state)
-                if not len(rows):
-                    continue
-                H, dofs = term.hessian(x, state, convex, rows), dofs[rows]
-                k = dofs.shape[1]
-                i, j = np.triu_indices(k)
-                upper = share.counts[rows] * H.reshape(len(rows), -1).take(i * k + j, axis=1)
-                np.add.at(values, share.slots[rows].ravel(), upper.ravel())
-            elif share.total is not None:
-                H = term.hessian(x, state, convex, *([stress] if term.foresees else []))
-                values += share.total @ H.T.ravel()
-            elif motion is not None:  # what is quadratic is in the constant
-                H = term.hessian(x, state, convex)
-            if motion is not None and (moved := motion[dofs]).any():
+            if (moved := motion[share.dofs]).any():
+                foreseen = {"stress": stress} if term.foresees else {}
+                H = term.hessian(x, state, convex, **foreseen)
                 push = (H @ moved[:, :, None])[:, :, 0]
-                load += np.bincount(dofs.ravel(), push.ravel(), minlength=len(x))
+                load += np.bincount(share.dofs.ravel(), push.ravel(), minlength=len(x))
         return values[:-1], load[self.free]

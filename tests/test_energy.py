@@ -3,6 +3,8 @@
 A term is tested by being listed in `FREE`, `ON_TOOLS` or `HELD`.
 """
 
+import subprocess
+import sys
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
@@ -29,7 +31,7 @@ from quasiform.energy.friction import STICK, Friction
 from quasiform.energy.gripper import Grip
 from quasiform.energy.membrane import Membrane, PairedMembrane
 from quasiform.energy.softening import Softening
-from quasiform.energy.term import Term
+from quasiform.energy.term import Term, compiled
 from quasiform.energy.weight import GRAVITY, SheetWeight, ToolWeight
 from quasiform.fabric import Fabric, MomentCurve, ThreeStageLaw
 from quasiform.net.blank import rectangle, rotation
@@ -37,6 +39,7 @@ from quasiform.potential import Potential
 from quasiform.tools.shapes import (
     Placed,
     Plane,
+    Rounded,
     Tool,
     ball,
     bar,
@@ -657,6 +660,58 @@ def test_stencils_that_do_not_act_are_left_out_without_loss(name, convex):
         *(sums.hessian(x, memory, convex, motion) for sums in (chosen, whole)), strict=True
     ):
         assert_allclose(a, b, rtol=0, atol=1e-13 * np.abs(b).max())
+
+
+@pytest.mark.skipif(compiled is None, reason="needs numba")
+def test_compiled_loops_agree_with_plain_ones(case, monkeypatch):
+    """Energies, forces and stiffnesses, by stencil and summed; friction with its contact."""
+    term, terms, memory = case.term, [case.term], (case.state,)
+    if isinstance(term, Friction):
+        terms, memory = [term.contact, term], (None, case.state)
+    sums = Potential(terms, np.ones(len(case.x), dtype=bool), memory)
+
+    def evaluated(x):
+        yield term.energy(x, case.state)
+        yield term.gradient(x, case.state)
+        yield sums.gradient(x, memory)
+        for convex in (True, False):
+            yield term.hessian(x, case.state, convex)
+            yield sums.hessian(x, memory, convex)[0]
+
+    for x in (case.x, case.x + 0.05 * directions(case.x, 1)[0]):
+        fast = list(evaluated(x))
+        with monkeypatch.context() as patch:
+            patch.setattr(Term, "kernels", None)
+            patch.setattr(Rounded, "kernels", None)
+            for other in (x + 1.0, x + 2.0):  # so that nothing is kept of x
+                list(evaluated(other))
+            for a, b in zip(fast, evaluated(x), strict=True):
+                assert_allclose(a, b, rtol=0, atol=1e-12 * np.abs(b).max())
+
+
+@pytest.mark.skipif(compiled is None, reason="needs numba")
+def test_loops_are_compiled_where_no_folder_can_be_written_to():
+    code = """
+import numpy as np
+from numba.core import caching
+caching.CacheImpl._locator_classes = []
+from quasiform import compiled
+assert compiled.same(np.ones(3), np.ones(3))
+assert not compiled.same.stats.cache_path
+"""
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.mark.parametrize("name", [name for name in ON_TOOLS if name.startswith("contact")])
+def test_no_point_that_touches_is_overlooked_as_it_moves(name):
+    """Steps of all lengths: what acts is what touches where every point is evaluated."""
+    case, rng = ON_TOOLS[name](), np.random.default_rng(6)
+    term, start, few = case.term, case.x, 0
+    for step in 10.0 ** rng.uniform(-4.0, 1.0, 40):
+        x = start + rng.uniform(-step, step, len(start))
+        few += len(term._within_reach(term._at(x))) < len(term.dofs)
+        assert_array_equal(term.active(x), np.flatnonzero(term.penetration(x) > 0.0))
+    assert few > 10
 
 
 # Membrane

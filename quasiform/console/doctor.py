@@ -18,6 +18,7 @@ SOLVERS = {"pardiso": "the fastest", "superlu": "scipy's"}
 EXTRAS = {"pardiso": "pip install 'quasiform[fast]'"}  # where the fault does not say so
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 PARTS = {  # name: (module, what for, extra)
+    "numba": ("numba", "compiled energies", "fast"),
     "libigl": ("igl", "tools from surface files", "surface"),
     "gmsh": ("gmsh", "tools and blanks from CAD files", "cad"),
     "ezdxf": ("ezdxf", "outlines from DXF files", "cad"),

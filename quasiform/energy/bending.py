@@ -24,7 +24,7 @@ from skfem import Basis, ElementLineP1
 
 from ..net.blank import Blank
 from ..unknowns import FloatArray, IntArray, Sheet
-from .term import Term
+from .term import Term, frozen, same
 
 NEIGHBOURS = 9  # of the fit on any mesh, at most; five are needed
 
@@ -89,84 +89,113 @@ class Bending(Term):
     ) -> None:
         """Keep stencils of nodes (m, k), and of k_warp, k_weft, u, v as rows (m, 4, k, 3)."""
         (m, k), dim = nodes.shape, self.sheet.dim
-        self.constant, rows = constant[..., :dim], rows[..., :dim]
-        each = rows[:, :, None] * np.eye(dim)[None, None, :, None, :]
+        self.constant = np.ascontiguousarray(constant[..., :dim])
+        self.rows = np.ascontiguousarray(rows[..., :dim])
+        each = self.rows[:, :, None] * np.eye(dim)[None, None, :, None, :]
         self.operator = each.reshape(m, 4 * dim, dim * k)
+        # the two of the four rows that take a node, or -1: all do
+        taking = (self.rows != 0).any((0, 3)).T
+        two = np.argsort(~taking, axis=1, kind="stable")[:, :2]
+        self.takers = np.where(taking.sum(1)[:, None] > 2, -1, two)
         sheet, self.nodes, fabric = self.sheet, nodes, self.sheet.fabric
         self.name = sheet.named("bending")
         self.dofs = sheet.dofs[nodes].reshape(m, dim * k)
         self.stiffness = areas[:, None] * [fabric.bending_warp, fabric.bending_weft]
-        self.in_plane = fabric.in_plane_bending
+        self.in_plane = float(fabric.in_plane_bending)
         if dim == 2:
             self.stiffness, self.in_plane = self.in_plane * self.stiffness, 1
         self.quadratic = self.in_plane == 1
+        self._last: tuple[FloatArray, tuple[FloatArray, ...]] | None = None
 
     def curvature(self, x: FloatArray) -> FloatArray:
         """(n_stencils, 2) curvatures κ11 of the warp and κ22 of the weft, 1/mm."""
-        k, _, _, n, _ = self._frame(x)
-        return np.einsum("sfc,sc->sf", k, n)
+        return self._at(x)[1]
 
-    @property
-    def _to_k(self) -> FloatArray:
-        """(n_stencils, 2 dim, n_local) k of warp and weft from the local unknowns."""
-        return self.operator[:, : 2 * self.sheet.dim]
+    def _combined(self, x: FloatArray, count: int) -> FloatArray:
+        """(n_stencils, count, dim) the first of k_warp, k_weft, u, v."""
+        if self.kernels:
+            return self.kernels.combine(self.rows, self.constant, self.dofs, x, count)
+        dim = self.sheet.dim
+        y = (self.operator[:, : count * dim] @ x[self.dofs][:, :, None]).reshape(-1, count, dim)
+        return y + self.constant[:, :count]
 
-    def _second_differences(self, x: FloatArray) -> FloatArray:
-        """(n_stencils, 2, dim) k of warp and weft."""
-        k = (self._to_k @ x[self.dofs][:, :, None]).reshape(-1, 2, self.sheet.dim)
-        return k + self.constant[:, :2]
+    def _nodal(self, forces: FloatArray) -> FloatArray:
+        """(n_stencils, n_local) forces from those on the first of k_warp, k_weft, u, v."""
+        if self.kernels:
+            return self.kernels.spread(self.rows, forces)
+        forces = forces.reshape(len(forces), 1, -1)
+        return (forces @ self.operator[:, : forces.shape[2]])[:, 0]
 
-    def _frame(self, x: FloatArray) -> tuple[FloatArray, ...]:
-        y = (self.operator @ x[self.dofs][:, :, None])[:, :, 0].reshape(-1, 4, 3) + self.constant
-        k, u, v = y[:, :2], y[:, 2], y[:, 3]
-        m = np.cross(u, v)
-        length = np.linalg.norm(m, axis=1)
-        return k, u, v, m / length[:, None], length
+    def _at(self, x: FloatArray) -> tuple[FloatArray, ...]:
+        """(n_stencils, 4, 3) k_warp, k_weft, u and v, κ, n and |u x v|; kept for the last x."""
+        if self._last is None or not same(self._last[0], x):
+            y = self._combined(x, 4)
+            frame = self.kernels.bending_curvature if self.kernels else _curvature
+            self._last = frozen(x), (y, *frame(y))
+        return self._last[1]
 
     def energy(self, x: FloatArray, state: None = None) -> FloatArray:
         r = self.in_plane
         if r == 1:
-            k = self._second_differences(x)
+            k = self._combined(x, 2)
             return 0.5 * np.einsum("sf,sfc,sfc->s", self.stiffness, k, k)
-        k, _, _, n, _ = self._frame(x)
-        kappa = np.einsum("sfc,sc->sf", k, n)
-        return 0.5 * (self.stiffness * ((1 - r) * kappa**2 + r * (k**2).sum(-1))).sum(1)
+        y, kappa, _, _ = self._at(x)
+        if self.kernels:
+            return self.kernels.bending_energy(y, kappa, self.stiffness, r)
+        square = (y[:, :2] ** 2).sum(-1)
+        return 0.5 * (self.stiffness * ((1 - r) * kappa**2 + r * square)).sum(1)
 
     def by_in_plane(self, x: FloatArray) -> float:
         """Derivative of the energy by r, mJ."""
-        k, _, _, n, _ = self._frame(x)
-        in_plane = (k**2).sum(-1) - np.einsum("sfc,sc->sf", k, n) ** 2
-        return float(0.5 * (self.stiffness * in_plane).sum())
+        y, kappa, _, _ = self._at(x)
+        return float(0.5 * (self.stiffness * ((y[:, :2] ** 2).sum(-1) - kappa**2)).sum())
 
-    def _first_derivative(self, x: FloatArray) -> tuple[FloatArray, ...]:
-        """κ, its gradient by (k_warp, k_weft, u, v) and what the second derivative needs."""
-        k, u, v, n, length = self._frame(x)
-        kappa = np.einsum("sfc,sc->sf", k, n)
-        q = (k - kappa[..., None] * n[:, None]) / length[:, None, None]  # derivative by u x v
-        d = np.zeros((len(k), 2, 4, 3))
+    def _slopes(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Derivatives of κ by u x v (n_stencils, 2, 3) and by k_warp, k_weft, u, v (.., 4, 3)."""
+        y, kappa, n, length = self._at(x)
+        q = (y[:, :2] - kappa[..., None] * n[:, None]) / length[:, None, None]
+        d = np.zeros((len(y), 2, 4, 3))
         d[:, 0, 0] = d[:, 1, 1] = n
-        d[:, :, 2] = np.cross(v[:, None], q)
-        d[:, :, 3] = np.cross(q, u[:, None])
-        return k, u, v, n, length, kappa, q, d
+        d[:, :, 2] = _cross(y[:, None, 3], q)
+        d[:, :, 3] = _cross(q, y[:, None, 2])
+        return q, d
 
     def gradient(self, x: FloatArray, state: None = None) -> FloatArray:
         r = self.in_plane
         if r == 1:
-            force = self.stiffness[..., None] * self._second_differences(x)
-            return (force.reshape(len(force), 1, -1) @ self._to_k)[:, 0]
-        k, *_, kappa, _, d = self._first_derivative(x)
-        force = np.einsum("sf,sfrc->src", (1 - r) * self.stiffness * kappa, d)
-        force[:, :2] += r * self.stiffness[..., None] * k
-        return (force.reshape(-1, 1, 12) @ self.operator)[:, 0]
+            return self._nodal(self.stiffness[..., None] * self._combined(x, 2))
+        y, kappa = self._at(x)[:2]
+        if self.kernels:
+            return self._nodal(self.kernels.bending_forces(*self._at(x), self.stiffness, r))
+        force = np.einsum("sf,sfrc->src", (1 - r) * self.stiffness * kappa, self._slopes(x)[1])
+        force[:, :2] += r * self.stiffness[..., None] * y[:, :2]
+        return self._nodal(force)
+
+    def _compiled(self, x: FloatArray, convex: bool, *where: FloatArray) -> None:
+        """Compute stiffnesses, and put them where `compiled.bending_stiffness` does."""
+        given = self.stiffness, self.in_plane, convex, self.rows, self.takers
+        self.kernels.bending_stiffness(*self._at(x), *given, *where)
+
+    def add_hessian(
+        self, values: FloatArray, x: FloatArray, state: None, convex: bool, slots: IntArray
+    ) -> None:
+        if self.kernels and self.in_plane != 1:
+            self._compiled(x, convex, self.kernels.NONE[0], values, slots)
+        else:
+            super().add_hessian(values, x, state, convex, slots)
 
     def hessian(self, x: FloatArray, state: None, convex: bool) -> FloatArray:
         """With `convex` without the part with the second derivative of κ (Gauss-Newton)."""
-        r = self.in_plane
+        r, dim = self.in_plane, self.sheet.dim
         if r == 1:
-            K, each = self._to_k, np.repeat(self.stiffness, self.sheet.dim, axis=1)
+            K, each = self.operator[:, : 2 * dim], np.repeat(self.stiffness, dim, axis=1)
             return K.transpose(0, 2, 1) @ (each[..., None] * K)
-        _, u, v, n, length, kappa, q, d = self._first_derivative(x)
-        count = len(u)
+        if self.kernels:
+            H = np.empty((len(self.dofs), *self.dofs.shape[1:] * 2))
+            self._compiled(x, convex, H, *self.kernels.NONE[1:])
+            return H
+        (y, kappa, n, length), (q, d) = self._at(x), self._slopes(x)
+        u, v, count = y[:, 2], y[:, 3], len(y)
         weight = (1 - r) * self.stiffness
         flat = d.reshape(count, 2, 12)
         H = flat.transpose(0, 2, 1) @ (weight[..., None] * flat)
@@ -239,6 +268,22 @@ def _neighbours(blank: Blank, family: str) -> tuple[IntArray, FloatArray]:
     beside[0, second], beside[1, first] = first, second
     grad[0, second], grad[1, first] = slope, slope
     return beside, grad
+
+
+def _curvature(y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Curvatures (m, 2), normals (m, 3) and |u x v| (m,) from k_warp, k_weft, u, v (m, 4, 3)."""
+    normal = _cross(y[:, 2], y[:, 3])
+    length = np.sqrt((normal**2).sum(1))
+    normal /= length[:, None]
+    return (y[:, :2] * normal[:, None]).sum(2), normal, length
+
+
+def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """(..., 3) products of vectors; np.cross takes longer to begin than to multiply."""
+    out = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        out[..., i] = a[..., j] * b[..., k] - a[..., k] * b[..., j]
+    return out
 
 
 def _skew(w: FloatArray) -> FloatArray:

@@ -26,15 +26,18 @@ that tilts, with
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy.sparse import csr_array
 
 from ..net.blank import Blank
-from ..tools.shapes import Distance, Tool
+from ..tools.shapes import Distance, Rounded, Tool
 from ..unknowns import FloatArray, IntArray, Sheet
-from .term import Term
+from .term import Term, frozen, same
 
 BLEND = 0.05  # e, mm
 LEVER = 100.0  # L, mm: tilts are measured by the motion of a point at this distance
@@ -106,19 +109,115 @@ def at_edges(blank: Blank) -> Points:
     return Points(" between nodes", edges, np.full((*edges.shape, 3), 0.5), areas, SAG * length)
 
 
-class Contact(Term):
+@dataclass(eq=False)
+class _Last:
+    """What a contact keeps of its last evaluation, and where its points are clear of the tool."""
+
+    x: FloatArray | None = None
+    y: FloatArray | None = None  # (m, 3) positions in the tool's frame, mm
+    all: tuple[FloatArray, ...] | None = None
+    acting: Acting | None = None
+    centre: FloatArray | None = None  # (m, 3) where a point was when the tool was last evaluated
+    clear: FloatArray | None = None  # (m,) how far a point can move from there without touching, mm
+
+
+@dataclass(frozen=True, eq=False)
+class Acting:
+    """What acts on the points of the sheet that touch a tool, r of them, in the tool's frame."""
+
+    rows: IntArray  # (r,) numbers of the points
+    energy: FloatArray  # (r,) mJ
+    force: FloatArray  # (r, 3) derivatives by the position, N
+    stiffness: FloatArray  # (r, 3, 3) second derivatives, or their positive semi-definite part
+    bend: FloatArray | None = None  # (r, 3, 3) what is taken from it in the exact one
+
+    @cached_property
+    def total(self) -> float:
+        """Energy of all points, mJ."""
+        return float(self.energy.sum())
+
+    def exact(self, convex: bool) -> FloatArray:
+        """(r, 3, 3) second derivatives; with `convex` positive semi-definite."""
+        return self.stiffness if convex or self.bend is None else self.stiffness - self.bend
+
+
+class AtPoints(Term):
+    """An energy at the points of a contact, of which few act at a time."""
+
+    selective = True
+    contact: Contact
+
+    def acting(self, x: FloatArray, state: Any) -> Acting:
+        """What acts at x (n_dofs,)."""
+        raise NotImplementedError
+
+    def energy(self, x: FloatArray, state: Any = None) -> FloatArray:
+        energy, here = np.zeros(len(self.dofs)), self.acting(x, state)
+        energy[here.rows] = here.energy
+        return energy
+
+    def total(self, x: FloatArray, state: Any) -> float:
+        return self.acting(x, state).total
+
+    def gradient(self, x: FloatArray, state: Any = None) -> FloatArray:
+        gradient, here = np.zeros(self.dofs.shape), self.acting(x, state)
+        gradient[here.rows] = self.contact.pull_back(x, here.force, here.rows)
+        return gradient
+
+    def active(self, x: FloatArray, state: Any = None) -> IntArray:
+        return self.acting(x, state).rows
+
+    def hessian(
+        self, x: FloatArray, state: Any, convex: bool, rows: IntArray | None = None
+    ) -> FloatArray:
+        """With `convex` without the curvature of the tool, and without its finite rotation."""
+        here = self.acting(x, state)
+        force = None if convex else here.force
+        local = self.contact.pull_back_stiffness(x, here.exact(convex), force, here.rows)
+        if rows is here.rows:
+            return local
+        H = np.zeros((len(self.dofs), *local.shape[1:]))
+        H[here.rows] = local
+        return H if rows is None else H[rows]
+
+    def add_gradient(self, out: FloatArray, x: FloatArray, state: Any) -> None:
+        here, contact = self.acting(x, state), self.contact
+        if self.kernels and not contact.tool.tilts:
+            given = here.rows, self.dofs, contact.shares, here.force
+            self.kernels.add_point_forces(out, *given)
+            return
+        forces = contact.pull_back(x, here.force, here.rows)
+        out += np.bincount(self.dofs[here.rows].ravel(), forces.ravel(), minlength=len(out))
+
+    def add_hessians(
+        self, values: FloatArray, x: FloatArray, states: Sequence, convex: bool, slots: IntArray
+    ) -> None:
+        if not self.kernels or self.contact.tool.tilts:
+            super().add_hessians(values, x, states, convex, slots)
+            return
+        # what acts at a point is summed before it is spread to the nodes
+        K, acts = np.zeros((len(self.dofs), 3, 3)), np.zeros(len(self.dofs), dtype=bool)
+        for term, state in states:
+            here = term.acting(x, state)
+            self.kernels.gather(K, acts, here.rows, here.exact(convex))
+        self.kernels.add_point_stiffness(values, acts, slots, self.contact.shares, K)
+
+
+class Contact(AtPoints):
     """Normal contact of points of the sheet, by default its nodes, with one tool.
 
     The fabric supplies the thickness t0 and the compaction stiffness k. `tool_dofs` (1,) or (3,)
     are the numbers in x of the tool's height and, if it tilts, of its tilts.
-    """
 
-    selective = True
+    A tool is evaluated only for points that it may touch: around each point that was found clear
+    of it there is a ball in which it stays clear, as no distance changes faster than its place.
+    """
 
     def __init__(
         self, sheet: Sheet, tool: Tool, tool_dofs: IntArray, points: Points | None = None
     ) -> None:
         self.sheet, self.tool, self.tool_dofs = sheet, tool, np.ravel(tool_dofs)
+        self.contact = self
         self.points = points or at_nodes(sheet.blank, share(tool, sheet.blank.size))
         self.name = f"{sheet.named('contact')} with {tool.name}{self.points.name}"
         m = len(self.points.nodes)
@@ -131,8 +230,8 @@ class Contact(Term):
         self._mean = csr_array(mean, shape=(3 * m, sheet.dofs.size))  # places from nodes
         # node and height move the point relative to the tool along this axis, by this share
         self._axes = np.append(np.tile([0, 1, 2], nodal.shape[1] // 3), 2)
-        self._shares = np.column_stack([self.points.weights.reshape(m, -1), np.full(m, -1.0)])
-        self._last: tuple[FloatArray, tuple] | None = None
+        self.shares = np.column_stack([self.points.weights.reshape(m, -1), np.full(m, -1.0)])
+        self._last = _Last()
         self.area = self.points.areas
         self.reach = 0.5 * sheet.fabric.thickness - self.points.sag
         self.compaction = sheet.fabric.compaction
@@ -145,6 +244,8 @@ class Contact(Term):
 
     def arm(self, x: FloatArray) -> FloatArray:
         """(m, 3) places of the points relative to the tool's origin, mm."""
+        if self.kernels:
+            return self.kernels.places(self.dofs, self.shares, x, *map(float, self.tool.place))
         places = self._mean @ self.sheet.positions(x).ravel()
         return places.reshape(-1, 3) - self.origin(x)
 
@@ -166,18 +267,65 @@ class Contact(Term):
 
     def relative(self, x: FloatArray) -> FloatArray:
         """(m, 3) positions of the points in the tool's frame, mm."""
-        return self.at(x)[0]
+        return self._at(x).y
 
     def at(self, x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Positions in the tool's frame with d, n and its curvature there; kept for the last x."""
-        if self._last is None or not np.array_equal(self._last[0], x):
-            y = self.in_tool_frame(x, self.arm(x))
-            self._last = x.copy(), (y, *self.distance(y))
-        return self._last[1]
+        """Positions of all points in the tool's frame with d, n and its curvature there."""
+        last = self._at(x)
+        if last.all is None:
+            last.all = (last.y, *self.distance(last.y))
+        return last.all
+
+    def _at(self, x: FloatArray) -> _Last:
+        """What is kept for the last x."""
+        last = self._last
+        if last.x is None or not same(last.x, x):
+            last.x, last.all, last.acting = frozen(x), None, None
+            last.y = self.in_tool_frame(x, self.arm(x))
+        return last
+
+    def acting(self, x: FloatArray, state: None = None) -> Acting:
+        last = self._at(x)
+        if last.acting is None:
+            near = self._within_reach(last)
+            exact = isinstance(self.tool.shape, Rounded)  # there is no need of its box
+            d, n, H = (self.tool.shape.distance if exact else self.distance)(last.y[near])
+            boxed = not exact and getattr(self.tool.shape, "box", None) is not None
+            last.acting = self._touching(last, near, d, n, H, FAR_OFF if boxed else np.inf)
+        return last.acting
+
+    def _within_reach(self, last: _Last) -> IntArray:
+        """Numbers of the points that may touch the tool."""
+        if last.centre is None:
+            last.centre, last.clear = last.y.copy(), np.full(len(last.y), -np.inf)
+        steepest = getattr(self.tool.shape, "steepest", 1.0) * (1 + 1e-9)
+        if self.kernels:
+            return self.kernels.may_touch(last.y, last.centre, last.clear, steepest)
+        square = ((last.y - last.centre) ** 2).sum(1)
+        clear = (last.clear >= 0.0) & (steepest**2 * square < last.clear**2)
+        return np.flatnonzero(~clear)  # with those that are nowhere
+
+    def _touching(
+        self, last: _Last, near: IntArray, d: FloatArray, n: FloatArray, H: FloatArray, far: float
+    ) -> Acting:
+        """What acts on the points `near`, from their distances, which beyond `far` are a box's."""
+        if self.kernels:
+            given = last.y, self.reach, self.area, self.compaction, BLEND, far
+            found = self.kernels.touching(near, d, n, H, *given, last.centre, last.clear)
+            return Acting(*found)
+        last.clear[near] = d - np.where(d >= far, far, self.reach[near])
+        last.centre[near] = last.y[near]
+        touch = np.flatnonzero(last.clear[near] < 0.0)
+        rows, n = near[touch], n[touch]
+        value, first, second = self._law(-last.clear[rows])
+        area, nn = self.area[rows], n[:, :, None] * n[:, None, :]
+        force = area * first
+        K, bend = (area * second)[:, None, None] * nn, force[:, None, None] * H[touch]
+        return Acting(rows, area * value, -force[:, None] * n, K, bend)
 
     def in_tool_frame(self, x: FloatArray, arm: FloatArray) -> FloatArray:
         """Turn (m, 3) places relative to the tool's origin into its frame."""
-        return arm @ self._into_frame(x).T
+        return arm @ self._into_frame(x).T if self.tool.tilts else arm
 
     def distance(self, y: FloatArray) -> Distance:
         """Distance of the tool at (m, 3) positions in its frame; far away that to its box."""
@@ -209,37 +357,14 @@ class Contact(Term):
         n = len(self.sheet.blank.nodes)
         return np.bincount(self.points.nodes.ravel(), force.ravel(), minlength=n)
 
-    def energy(self, x: FloatArray, state: None = None) -> FloatArray:
-        return self.area * self._law(self.penetration(x))[0]
-
-    def gradient(self, x: FloatArray, state: None = None) -> FloatArray:
-        _, d, n, _ = self.at(x)
-        force = -self.area * self._law(self.reach - d)[1]
-        return self.pull_back(x, force[:, None] * n)
-
-    def active(self, x: FloatArray, state: None = None) -> IntArray:
-        return np.flatnonzero(self.penetration(x) > 0)
-
-    def hessian(
-        self, x: FloatArray, state: None, convex: bool, rows: IntArray | slice = slice(None)
+    def pull_back(
+        self, x: FloatArray, force: FloatArray, rows: IntArray | slice = slice(None)
     ) -> FloatArray:
-        """With `convex` without the curvature of the tool."""
-        d, n, curvature = (of_all[rows] for of_all in self.at(x)[1:])
-        _, pressure, stiffness = self._law(self.reach[rows] - d)
-        area = self.area[rows]
-        H = (area * stiffness)[:, None, None] * (n[:, :, None] * n[:, None, :])
-        force = None
-        if not convex:
-            H -= (area * pressure)[:, None, None] * curvature
-            force = (-area * pressure)[:, None] * n
-        return self.pull_back_stiffness(x, H, force, rows)
-
-    def pull_back(self, x: FloatArray, force: FloatArray) -> FloatArray:
         """(m, n_local) local forces from (m, 3) derivatives by the position in the tool's frame."""
-        local = self._shares * (force @ self._into_frame(x))[:, self._axes]
         if not self.tool.tilts:
-            return local
-        return np.column_stack([local, *((force * swept).sum(1) for swept in self._swept(x))])
+            return self.shares[rows] * force[:, self._axes]
+        local = self.shares[rows] * (force @ self._into_frame(x))[:, self._axes]
+        return np.column_stack([local, *((force * swept).sum(1) for swept in self._swept(x, rows))])
 
     def pull_back_stiffness(
         self, x: FloatArray, H: FloatArray, force: FloatArray | None, rows: IntArray | slice
@@ -248,7 +373,7 @@ class Contact(Term):
 
         Without `force` the part of the tool's finite rotation is left out.
         """
-        J = self._shares[rows][:, None] * self._into_frame(x)[:, self._axes]
+        J = self.shares[rows][:, None] * self._into_frame(x)[:, self._axes]
         if self.tool.tilts:
             J = np.concatenate([J, np.stack(self._swept(x, rows), axis=2)], axis=2)
         local = J.transpose(0, 2, 1) @ (H @ J)
@@ -257,7 +382,7 @@ class Contact(Term):
         A, B = self._turns(x)
         arm = self.arm(x)[rows]
         for i, turn in ((-2, B[0] @ A[1]), (-1, B[1] @ A[0])):
-            row = self._shares[rows] * (force @ turn)[:, self._axes]
+            row = self.shares[rows] * (force @ turn)[:, self._axes]
             local[:, i, :-2] += row
             local[:, :-2, i] += row
         for i, j, turn in ((-2, -2, B[0] @ A[2]), (-2, -1, B[1] @ A[1]), (-1, -1, B[2] @ A[0])):

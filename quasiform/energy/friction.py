@@ -21,8 +21,8 @@ import numpy as np
 
 from ..net.transfer import interpolated
 from ..unknowns import FloatArray, IntArray
-from .contact import Contact
-from .term import Standing, Term
+from .contact import Acting, AtPoints, Contact
+from .term import Standing
 
 STICK = 0.1  # stiffness of elastic stick per area, N/mm³
 FAST = 1e6  # mm: reach of elastic stick that no sheet comes to
@@ -40,16 +40,16 @@ class Rubbing:
     limit: FloatArray  # (m,) μ λ, N
 
 
-class Friction(Term):
+class Friction(AtPoints):
     """Friction of the sheet on one tool, at the points of the normal contact with it."""
 
-    selective = True
     mixed = ("limit",)
 
     def __init__(self, contact: Contact) -> None:
         self.name = contact.name.replace("contact", "friction")
         self.contact, self.dofs = contact, contact.dofs
         self.stick = STICK * contact.area
+        self._last: tuple[FloatArray, Rubbing, Acting] | None = None
 
     def initial(self, x: FloatArray) -> Rubbing:
         """Points that touch at x are anchored where they are."""
@@ -111,51 +111,62 @@ class Friction(Term):
 
     def slide(self, x: FloatArray, state: Rubbing) -> float:
         """Longest way of a point along the tool from its anchor, mm."""
-        return float(self._slide(self.contact.relative(x), state)[1].max(initial=0.0))
+        if self.kernels:
+            given = state.anchor, state.normal
+            return self.kernels.longest_slide(self.contact.relative(x), *given)
+        rows = np.flatnonzero(~np.isnan(state.anchor[:, 0]))
+        return float(self._slide(self.contact.relative(x), state, rows)[1].max(initial=0.0))
 
     def stuck(self, state: Rubbing) -> Rubbing:
         """State in which no point that touches can slip."""
         return replace(state, limit=np.where(state.limit > 0, FAST * self.stick, 0.0))
 
-    def _slide(self, points: FloatArray, state: Rubbing) -> tuple[FloatArray, FloatArray]:
-        arm = points - state.anchor
+    def _slide(
+        self, points: FloatArray, state: Rubbing, rows: IntArray | slice = slice(None)
+    ) -> tuple[FloatArray, FloatArray]:
+        arm, n = points[rows] - state.anchor[rows], state.normal[rows]
         arm = np.where(np.isnan(arm), 0.0, arm)
-        s = arm - (arm * state.normal).sum(1)[:, None] * state.normal
-        return s, np.linalg.norm(s, axis=1)
+        s = arm - (arm * n).sum(1)[:, None] * n
+        return s, np.sqrt((s * s).sum(1))
 
     def _energy(self, points: FloatArray, state: Rubbing) -> FloatArray:
-        _, length = self._slide(points, state)
-        reach = np.minimum(length, state.limit / self.stick)
-        return 0.5 * self.stick * reach**2 + state.limit * (length - reach)
+        return self._law(state, slice(None), *self._slide(points, state))[0]
 
     def _force(self, points: FloatArray, state: Rubbing) -> FloatArray:
-        s, length = self._slide(points, state)
-        return s * np.minimum(self.stick, state.limit / np.maximum(length, 1e-300))[:, None]
+        return self._law(state, slice(None), *self._slide(points, state))[1]
 
-    def energy(self, x: FloatArray, state: Rubbing) -> FloatArray:
-        return self._energy(self.contact.relative(x), state)
+    def _law(
+        self, state: Rubbing, rows: IntArray | slice, s: FloatArray, length: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """(m,) energies and (m, 3) forces of points at distances s (m, 3) from their anchors."""
+        limit, stick = state.limit[rows], self.stick[rows]
+        reach = np.minimum(length, limit / stick)
+        force = s * np.minimum(stick, limit / np.maximum(length, 1e-300))[:, None]
+        return 0.5 * stick * reach**2 + limit * (length - reach), force
 
     def force(self, x: FloatArray, state: Rubbing) -> FloatArray:
         """(m, 3) gradient by the position in the tool's frame, N."""
         return self._force(self.contact.relative(x), state)
 
-    def gradient(self, x: FloatArray, state: Rubbing) -> FloatArray:
-        return self.contact.pull_back(x, self.force(x, state))
+    def acting(self, x: FloatArray, state: Rubbing) -> Acting:
+        points, last = self.contact.relative(x), self._last
+        if last is None or last[0] is not points or last[1] is not state:
+            known = last is not None and last[1] is state
+            rows = last[2].rows if known else np.flatnonzero(state.limit > 0)
+            self._last = last = points, state, self._acting(points, state, rows)
+        return last[2]
 
-    def active(self, x: FloatArray, state: Rubbing) -> IntArray:
-        return np.flatnonzero(state.limit > 0)
-
-    def hessian(
-        self, x: FloatArray, state: Rubbing, convex: bool, rows: IntArray | slice = slice(None)
-    ) -> FloatArray:
-        s, length = (of_all[rows] for of_all in self._slide(self.contact.relative(x), state))
+    def _acting(self, points: FloatArray, state: Rubbing, rows: IntArray) -> Acting:
+        if self.kernels:
+            given = state.anchor, state.normal, state.limit, self.stick
+            return Acting(rows, *self.kernels.friction(rows, points, *given))
+        s, length = self._slide(points, state, rows)
         n, limit, stick = state.normal[rows], state.limit[rows], self.stick[rows]
         P = np.eye(3) - n[:, :, None] * n[:, None, :]
         slipping = stick * length > (1 - 1e-6) * limit  # a point at its limit slips on
         t = s / np.maximum(length, 1e-300)[:, None]
         across = P - t[:, :, None] * t[:, None, :]
         slope = limit / np.maximum(length, 1e-300)
-        stuck = ((limit > 0) * stick)[:, None, None] * P
+        stuck = stick[:, None, None] * P
         H = np.where(slipping[:, None, None], slope[:, None, None] * across, stuck)
-        force = None if convex else s * np.minimum(stick, slope)[:, None]
-        return self.contact.pull_back_stiffness(x, H, force, rows)
+        return Acting(rows, *self._law(state, rows, s, length), H)

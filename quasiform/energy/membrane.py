@@ -12,15 +12,19 @@ The only indefinite part is S ⊗ 1. The convex variant clamps the eigenvalues o
 a closed form for a 2 x 2 matrix.
 
 Inside, the triangles are the last axis, so that a product of two components is one of long vectors.
+What a state was evaluated for is kept for the last two: where an iteration is, and where it tries.
 """
 
 from __future__ import annotations
 
+from dataclasses import astuple
+from functools import cache
+
 import numpy as np
 
-from ..fabric import shear_angle
-from ..unknowns import FloatArray, Sheet
-from .term import Term
+from ..fabric import TabulatedLaw, ThreeStageLaw, shear_angle
+from ..unknowns import FloatArray, IntArray, Sheet
+from .term import Term, frozen, same
 
 
 class Membrane(Term):
@@ -32,24 +36,79 @@ class Membrane(Term):
         blank, self.sheet, self.fabric = sheet.blank, sheet, sheet.fabric
         self.name = sheet.named("membrane")
         nodes = blank.basis.element_dofs
-        self.dofs = sheet.dofs.T[:, nodes].swapaxes(0, 1).reshape(-1, nodes.shape[1]).T
+        self.dofs = np.ascontiguousarray(sheet.dofs[nodes.T].reshape(nodes.shape[1], -1))
         grad = np.stack([phi[0].grad[:, :, 0] for phi in blank.basis.basis])  # (3, 2, n)
         # derivatives of the three shape functions along warp and weft, (n_triangles, 2, 3)
-        self._g = np.einsum("fc,icn->fin", np.stack([blank.warp, blank.weft]), grad)
+        g = np.einsum("fc,icn->fin", np.stack([blank.warp, blank.weft]), grad)
+        self._g = np.ascontiguousarray(g)
         self.g = self._g.transpose(2, 0, 1)
         self.volume = sheet.fabric.thickness * blank.areas
-        self._last: tuple[FloatArray, tuple[FloatArray, ...]] | None = None
+        self._last: list[tuple[FloatArray, tuple[FloatArray, ...]]] = []
 
     def _at(self, x: FloatArray) -> tuple[FloatArray, ...]:
-        """What `_evaluate` returns, kept for the last x."""
-        if self._last is None or not np.array_equal(self._last[0], x):
-            self._last = x.copy(), self._evaluate(x)
-        return self._last[1]
+        """What `_evaluate` returns, kept for the last two x."""
+        for i, (known, found) in enumerate(self._last):
+            if same(known, x):
+                if i:
+                    self._last.reverse()
+                return found
+        self._last = [(frozen(x), self._evaluate(x)), *self._last[:1]]
+        return self._last[0][1]
 
     def _evaluate(self, x: FloatArray) -> tuple[FloatArray, ...]:
-        """Fibre vectors (2, dim, n_triangles) and I4, I6, I8."""
-        f = along_fibres(self._g, x[self.dofs.T])
-        return f, dot(f[0], f[0]), dot(f[0], f[1]), dot(f[1], f[1])
+        """Fibre vectors (2, dim, n), I4, I6, I8, W (n,), S (2, 2, n) and W4'', W6'', W8''."""
+        f, fabric = self._fibre_vectors(x), self.fabric
+        if self.kernels:
+            I4, I6, I8 = self.kernels.invariants(f)
+        else:
+            I4, I6, I8 = dot(f[0], f[0]), dot(f[0], f[1]), dot(f[1], f[1])
+        W4, S4, C4 = self._response(fabric.warp, I4, 1.0)
+        W6, S6, C6 = self._response(fabric.shear, I6, 0.0)
+        W8, S8, C8 = self._response(fabric.weft, I8, 1.0)
+        S = np.array([[2.0 * S4, S6], [S6, 2.0 * S8]])
+        return f, I4, I6, I8, W4 + W8 + W6, S, np.array([C4, C6, C8])
+
+    def _response(
+        self, law: ThreeStageLaw | TabulatedLaw, I: FloatArray, I0: float
+    ) -> tuple[FloatArray, ...]:
+        """W, dW/dI and d²W/dI² (n,) of a law, MPa."""
+        if self.kernels and isinstance(law, ThreeStageLaw):
+            return self.kernels.three_stages(I, I0, *_stages(law))
+        return law.energy(I, I0), law.stress(I, I0), law.stiffness(I, I0)
+
+    def _fibre_vectors(self, x: FloatArray) -> FloatArray:
+        """(2, dim, n_triangles) fibre vectors, also of a motion."""
+        if self.kernels:
+            return self.kernels.fibre_vectors(self._g, self.dofs, x)
+        return along_fibres(self._g, x[self.dofs.T])
+
+    def _forces(self, g: FloatArray, S: FloatArray, f: FloatArray) -> FloatArray:
+        """(n, k dim) nodal forces, see `nodal_forces`."""
+        return (self.kernels.nodal_forces if self.kernels else nodal_forces)(g, S, f)
+
+    def _stiffness(self, g: FloatArray, f: FloatArray, S: FloatArray, W: FloatArray) -> FloatArray:
+        """(n, k dim, k dim) nodal stiffness, see `second_derivative`."""
+        if not self.kernels:
+            return nodal_stiffness(g, second_derivative(f, S, *W))
+        H = np.empty((g.shape[2], *[g.shape[1] * f.shape[1]] * 2))
+        self.kernels.membrane_stiffness(g, f, S, W, H, *self.kernels.NONE[1:])
+        return H
+
+    def add_hessian(
+        self,
+        values: FloatArray,
+        x: FloatArray,
+        state: None,
+        convex: bool,
+        slots: IntArray,
+        stress: FloatArray | None = None,
+    ) -> None:
+        if self.kernels and type(self) is Membrane:
+            given = self._stress_and_stiffness(x, convex, stress)
+            none = self.kernels.NONE[0]
+            self.kernels.membrane_stiffness(self._g, *given, none, values, slots)
+        else:
+            super().add_hessian(values, x, state, convex, slots, stress=stress)
 
     def fibres(self, x: FloatArray) -> FloatArray:
         """(n_triangles, 2, dim) deformed fibre vectors F a0 and F b0."""
@@ -57,7 +116,7 @@ class Membrane(Term):
 
     def invariants(self, x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """I4, I6, I8 of each triangle."""
-        return self._at(x)[1:]
+        return self._at(x)[1:4]
 
     def shear_angle(self, x: FloatArray) -> FloatArray:
         """(n_triangles,) signed shear angle, radians."""
@@ -71,48 +130,45 @@ class Membrane(Term):
         """(n_triangles, 1 or 3) normal times area ratio; in the plane the determinant of F."""
         return cross(*self._at(x)[0]).T
 
+    def turned_over(self, x: FloatArray, trial: FloatArray) -> bool:
+        """Whether a triangle is turned over between two states."""
+        if self.kernels and type(self) is Membrane:
+            return self.kernels.turned_over(self._at(x)[0], self._at(trial)[0])
+        return bool(((self.normals(x) * self.normals(trial)).sum(1) <= 0).any())
+
     def energy(self, x: FloatArray, state: None = None) -> FloatArray:
-        _, I4, I6, I8 = self._at(x)
-        fabric = self.fabric
-        W = fabric.warp.energy(I4, 1.0) + fabric.weft.energy(I8, 1.0) + fabric.shear.energy(I6)
-        return self.volume * W
+        return self.volume * self._at(x)[4]
 
     def stress(self, x: FloatArray) -> FloatArray:
         """(n_triangles, 2, 2) second Piola-Kirchhoff stress in fibre axes, MPa."""
-        return self._stress(x).transpose(2, 0, 1)
-
-    def _stress(self, x: FloatArray) -> FloatArray:
-        I4, I6, I8 = self.invariants(x)
-        S = np.empty((2, 2, len(I4)))
-        S[0, 0] = 2.0 * self.fabric.warp.stress(I4, 1.0)
-        S[0, 1] = S[1, 0] = self.fabric.shear.stress(I6)
-        S[1, 1] = 2.0 * self.fabric.weft.stress(I8, 1.0)
-        return S
+        return self._at(x)[5].transpose(2, 0, 1)
 
     def gradient(self, x: FloatArray, state: None = None) -> FloatArray:
-        S = self.volume * self._stress(x)
-        return nodal_forces(self._g, S, self._at(x)[0])
+        f, *_, S, _ = self._at(x)
+        return self._forces(self._g, self.volume * S, f)
 
     def foreseen_stress(self, x: FloatArray, dx: FloatArray) -> FloatArray:
         """(2, 2, n_triangles) stress that the linearisation at x foresees after a step, MPa."""
-        f, I4, I6, I8 = self._at(x)
-        df = along_fibres(self.g.transpose(1, 2, 0), dx[self.dofs.T])
-        S, fabric = self._stress(x), self.fabric
-        S[0, 0] += 4.0 * fabric.warp.stiffness(I4, 1.0) * dot(f[0], df[0])
-        S[1, 1] += 4.0 * fabric.weft.stiffness(I8, 1.0) * dot(f[1], df[1])
-        S[0, 1] += fabric.shear.stiffness(I6) * (dot(f[0], df[1]) + dot(f[1], df[0]))
+        f, *_, S, (W4, W6, W8) = self._at(x)
+        df, S = self._fibre_vectors(dx), S.copy()
+        S[0, 0] += 4.0 * W4 * dot(f[0], df[0])
+        S[1, 1] += 4.0 * W8 * dot(f[1], df[1])
+        S[0, 1] += W6 * (dot(f[0], df[1]) + dot(f[1], df[0]))
         S[1, 0] = S[0, 1]
         return S
 
     def hessian(
         self, x: FloatArray, state: None, convex: bool, stress: FloatArray | None = None
     ) -> FloatArray:
-        f, I4, I6, I8 = self._at(x)
-        fabric, S = self.fabric, self._stress(x) if stress is None else stress
-        W4, W8 = fabric.warp.stiffness(I4, 1.0), fabric.weft.stiffness(I8, 1.0)
-        W2 = self.volume * np.stack([W4, fabric.shear.stiffness(I6), W8])
-        K = second_derivative(f, self.volume * (clamp(S) if convex else S), *W2)
-        return nodal_stiffness(self._g, K)
+        return self._stiffness(self._g, *self._stress_and_stiffness(x, convex, stress))
+
+    def _stress_and_stiffness(
+        self, x: FloatArray, convex: bool, stress: FloatArray | None
+    ) -> tuple[FloatArray, ...]:
+        """Fibre vectors; S (2, 2, n) and W4'', W6'', W8'' (3, n), times the volume."""
+        f, *_, S, W = self._at(x)
+        S = S if stress is None else stress
+        return f, self.volume * (clamp(S) if convex else S), self.volume * W
 
 
 class PairedMembrane(Membrane):
@@ -137,7 +193,7 @@ class PairedMembrane(Membrane):
         self.parts = np.where(alone, 0.5, 1.0) * self.volume[pairs].T  # V_t, (2, n_pairs)
         self.whole = self.parts.sum(0)
         # fibre derivatives of each triangle by its three nodes, and their mean by all six
-        self.g_each = [self._g[:, :, pairs[:, t]] for t in (0, 1)]
+        self.g_each = [np.ascontiguousarray(self._g[:, :, pairs[:, t]]) for t in (0, 1)]
         share = self.parts / self.whole
         self.g_mean = np.concatenate([share[t] * self.g_each[t] for t in (0, 1)], axis=1)
         self.pair_of = np.empty(len(self.g), dtype=int)
@@ -185,8 +241,8 @@ class PairedMembrane(Membrane):
     def gradient(self, x: FloatArray, state: None = None) -> FloatArray:
         f, each = self._at(x)[:2]
         tension, shear = self._stresses(x)
-        forces = nodal_forces(self.g_mean, self.whole * tension, f)
-        own = [nodal_forces(self.g_each[t], self.parts[t] * shear[t], each[t]) for t in (0, 1)]
+        forces = self._forces(self.g_mean, self.whole * tension, f)
+        own = [self._forces(self.g_each[t], self.parts[t] * shear[t], each[t]) for t in (0, 1)]
         return forces + np.hstack(own)
 
     def foreseen_stress(self, x: FloatArray, dx: FloatArray) -> FloatArray:
@@ -208,17 +264,23 @@ class PairedMembrane(Membrane):
         fabric, none = self.fabric, np.zeros_like(I4)
         W4, W8 = fabric.warp.stiffness(I4, 1.0), fabric.weft.stiffness(I8, 1.0)
         W6 = self.parts * fabric.shear.stiffness(I6)
-        K = second_derivative(f, self.whole * tension, self.whole * W4, none, self.whole * W8)
-        H = nodal_stiffness(self.g_mean, K)
+        V = self.whole
+        H = self._stiffness(self.g_mean, f, V * tension, V * np.stack([W4, none, W8]))
         for t, own in enumerate(np.split(np.arange(H.shape[1]), 2)):
-            K = second_derivative(each[t], self.parts[t] * shear[t], none, W6[t], none)
-            H[:, own[:, None], own] += nodal_stiffness(self.g_each[t], K)
+            given = self.parts[t] * shear[t], np.stack([none, W6[t], none])
+            H[:, own[:, None], own] += self._stiffness(self.g_each[t], each[t], *given)
         return H
 
 
 def membrane_of(sheet: Sheet) -> Membrane:
     """Return the membrane energy that fits the mesh of a sheet."""
     return (Membrane if sheet.blank.pairs is None else PairedMembrane)(sheet)
+
+
+@cache
+def _stages(law: ThreeStageLaw) -> tuple[float, ...]:
+    """Numbers of a law; infinite those that a linear one has not."""
+    return tuple(np.inf if value is None else float(value) for value in astuple(law))
 
 
 def dot(a: FloatArray, b: FloatArray) -> FloatArray:
@@ -229,7 +291,8 @@ def dot(a: FloatArray, b: FloatArray) -> FloatArray:
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:
     """(1 or 3, n) products of vectors (dim, n) in the plane or in space."""
     if len(a) == 3:
-        return np.cross(a, b, axis=0)
+        (a0, a1, a2), (b0, b1, b2) = a, b
+        return np.stack([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])
     return a[:1] * b[1:] - a[1:] * b[:1]
 
 

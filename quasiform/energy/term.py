@@ -19,6 +19,7 @@ in `solve`, for every term with these functions.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any
 
@@ -28,14 +29,16 @@ from ..checks import InputError
 from ..net.transfer import interpolated
 from ..unknowns import FloatArray, IntArray, Unknowns
 
+try:
+    from .. import compiled
+except ImportError:  # the extra `fast` is not installed
+    compiled = None  # type: ignore[assignment]
+
 
 class Term:
-    """One energy of the sum, without memory unless it says otherwise.
+    """One energy of the sum, without memory unless it says otherwise."""
 
-    Gradients and Hessians that are kept with the stencils as the last axis in memory are summed
-    without a copy.
-    """
-
+    kernels: Any = compiled  # compiled loops over stencils; None: numpy alone
     name: str = "term"
     dofs: IntArray
     quadratic: bool = False  # the Hessian is the same everywhere: it is summed once
@@ -62,6 +65,54 @@ class Term:
     def hessian(self, x: FloatArray, state: Any, convex: bool) -> FloatArray:
         """(n_stencils, n_local, n_local) second derivatives, N/mm; `convex`: semi-definite."""
         raise NotImplementedError
+
+    def total(self, x: FloatArray, state: Any) -> float:
+        """Energy of all stencils, mJ."""
+        return float(self.energy(x, state).sum())
+
+    def add_gradient(self, out: FloatArray, x: FloatArray, state: Any) -> None:
+        """Add the gradient to `out` (n_dofs,), N."""
+        dofs, forces = self.stencils(state), self.gradient(x, state)
+        if self.kernels:
+            self.kernels.add_forces(out, dofs, np.ascontiguousarray(forces))
+        else:
+            out += np.bincount(dofs.ravel(), forces.ravel(), minlength=len(out))
+
+    def add_hessian(
+        self,
+        values: FloatArray,
+        x: FloatArray,
+        state: Any,
+        convex: bool,
+        slots: IntArray,
+        stress: FloatArray | None = None,
+    ) -> None:
+        """Add the upper triangles of the Hessians to the values at slots (n_stencils, n_pairs).
+
+        Those at ~slot count twice; the stress is a foreseen one.
+        """
+        rows: IntArray | slice = slice(None)
+        if self.selective:
+            rows = self.active(x, state)  # type: ignore[attr-defined]
+        chosen = [rows] if self.selective else [stress] if self.foresees else []
+        H = np.ascontiguousarray(self.hessian(x, state, convex, *chosen))
+        if self.kernels:
+            rows = rows if self.selective else np.arange(len(H))
+            self.kernels.add_stiffness(values, rows, slots, H)
+            return
+        i, j = np.triu_indices(k := H.shape[1])
+        upper, slots = H.reshape(len(H), k * k).take(i * k + j, axis=1), slots[rows]
+        if (twice := slots < 0).any():
+            upper[twice] *= 2.0
+            slots = np.where(twice, ~slots, slots)
+        values += np.bincount(slots.ravel(), upper.ravel(), minlength=len(values))
+
+    def add_hessians(
+        self, values: FloatArray, x: FloatArray, states: Sequence, *given: Any, **stress: Any
+    ) -> None:
+        """Add those of terms of this class with the same stencils, pairs of term and state."""
+        for term, state in states:
+            term.add_hessian(values, x, state, *given, **stress)
 
     def initial(self, x: FloatArray) -> Any:
         """State at the start of a run, at x (n_dofs,): a frozen dataclass of arrays, or None."""
@@ -106,6 +157,19 @@ class Standing:
     def places(self) -> FloatArray:
         """(n_stencils, 2) mean flat place of the unknowns of each stencil, mm."""
         return np.nanmean(self.unknowns.places()[self.term.stencils(self.state)], axis=1)
+
+
+def frozen(x: FloatArray) -> FloatArray:
+    """Return an array that nobody can change: a copy, unless x is one."""
+    if x.flags.writeable or not x.flags.owndata:
+        x = x.copy()
+        x.flags.writeable = False
+    return x
+
+
+def same(a: FloatArray, b: FloatArray) -> bool:
+    """Whether two arrays of unknowns (n_dofs,) are equal."""
+    return a is b or bool((Term.kernels.same if Term.kernels else np.array_equal)(a, b))
 
 
 def check_state(term: Term, state: Any, *before: Any) -> Any:

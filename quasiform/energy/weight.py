@@ -18,6 +18,7 @@ class SheetWeight(Term):
     """
 
     name = "weight of the sheet"
+    quadratic = True
 
     def __init__(self, sheet: Sheet, load: float, factor_dof: int) -> None:
         height = sheet.dofs[:, 2]
@@ -41,6 +42,8 @@ class SheetWeight(Term):
 
 class ToolWeight(Term):
     """Weight P, N, of a floating tool and what else presses it down: E = P z."""
+
+    quadratic = True
 
     def __init__(self, load: float, dof: int, name: str = "weight of the blank holder") -> None:
         self.name, self.dofs, self.force = name, np.array([[dof]]), load

@@ -20,6 +20,7 @@ References
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -67,6 +68,12 @@ class SurfaceGrid:
     @property
     def box(self) -> FloatArray:
         return np.stack([self.low, self.high])
+
+    @cached_property
+    def steepest(self) -> float:
+        """A bound on the length of the gradient: each component is a mean of differences."""
+        bounds = [np.abs(np.diff(self.coefficients, axis=a)).max() / self.spacing for a in range(3)]
+        return float(np.linalg.norm([*bounds, 1.0]))
 
     def distance(self, points: FloatArray) -> Distance:
         """Signed distance d (m,), gradient (m, 3) and second derivative (m, 3, 3) at (m, 3)."""

@@ -15,11 +15,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, Protocol
+from typing import Any, ClassVar, Literal, Protocol
 
 import numpy as np
 
 from ..checks import InputError, check_number
+
+try:
+    from .. import compiled
+except ImportError:  # the extra `fast` is not installed
+    compiled = None  # type: ignore[assignment]
 
 FloatArray = np.ndarray
 Distance = tuple[FloatArray, FloatArray, FloatArray]
@@ -30,8 +35,8 @@ class Shape(Protocol):
     """A rigid surface in its own frame.
 
     A shape may also have a `box` (2, 3), the corners of its bounding box, beyond which distances
-    are not evaluated, `sharpest`, its smallest radius of curvature (mm), and `is_ball`, whether its
-    lower end is one.
+    are not evaluated, `sharpest`, its smallest radius of curvature (mm), `is_ball`, whether its
+    lower end is one, and `steepest`, the largest length of the gradient if that may exceed 1.
     """
 
     def distance(self, points: FloatArray) -> Distance:
@@ -60,6 +65,7 @@ class Rounded:
     1/(d + radius) in two directions, in one, or not at all.
     """
 
+    kernels: ClassVar[Any] = compiled  # compiled loops over points; None: numpy alone
     core: FloatArray  # (n, 3) one point, two, or the corners of a convex solid, mm
     radius: float  # mm
 
@@ -72,7 +78,8 @@ class Rounded:
     def _features(self) -> tuple[FloatArray, ...]:
         """Corners (k, 3); edges by start, direction and length; faces by N, c, sides and at_side.
 
-        A point x lies above a triangle where N·x + c > 0 and its three sides·x ≥ at_side.
+        A point x lies above a triangle where N·x + c > 0 and its three sides·x ≥ at_side, but for
+        round-off.
         """
         core, none = self.core, np.zeros((0, 3))
         edges, faces = core[None, :0], (none, np.zeros(0), none, np.zeros(0))
@@ -82,7 +89,10 @@ class Rounded:
             core, edges, *faces = _polyhedron(core)
         start, end = edges.reshape(-1, 2, 3).transpose(1, 0, 2)
         length = np.linalg.norm(end - start, axis=1)
-        return core, start, (end - start) / length[:, None], length, *faces
+        N, c, sides, at_side = faces
+        at_side = at_side - 1e-8 * np.linalg.norm(sides, axis=1)
+        found = core, start, (end - start) / length[:, None], length, N, c, sides, at_side
+        return tuple(np.ascontiguousarray(array) for array in found)
 
     @property
     def sharpest(self) -> float:
@@ -97,13 +107,15 @@ class Rounded:
         return np.stack([self.core.min(0) - self.radius, self.core.max(0) + self.radius])
 
     def distance(self, points: FloatArray) -> Distance:
+        if self.kernels:
+            return self.kernels.rounded(np.ascontiguousarray(points), self._features, self.radius)
         corners, start, t, length, N, c, sides, at_side = self._features
         n_faces, n_flat = len(N), len(N) + len(t)
         height = points @ N.T + c  # above each face, (m, n_faces)
         inside = (height <= 0).all(1) if n_faces else np.zeros(len(points), dtype=bool)
         # the nearest of faces, edges and corners whose foot lies in them, faces first
         square = np.full((len(points), n_flat + len(corners)), np.inf)
-        over = points @ sides.T >= at_side - 1e-8 * np.linalg.norm(sides, axis=1)
+        over = points @ sides.T >= at_side
         over = over.reshape(len(points), n_faces, 3).all(2)
         np.copyto(square[:, :n_faces], height**2, where=over & (height > 0))
         to_edge = points[:, None] - start
@@ -174,9 +186,17 @@ class Opening:
     def sharpest(self) -> float:
         return self.fillet
 
+    @cached_property
+    def _ends(self) -> FloatArray:
+        """(2, 2) corners in the plane, beyond which the plate is flat, mm."""
+        return self.hole.box[:, :2] + [[-self.fillet], [self.fillet]]
+
     def distance(self, points: FloatArray) -> Distance:
+        low, high = self._ends
+        if self.hole.kernels:
+            given = self.hole._features, self.hole.radius, self.fillet, low, high
+            return self.hole.kernels.opening(np.ascontiguousarray(points), *given)
         d, n, H = Plane().distance(points)
-        low, high = self.hole.box[:, :2] + [[-self.fillet], [self.fillet]]
         near = ((points[:, :2] > low) & (points[:, :2] < high)).all(1)
         d[near], n[near], H[near] = self._in_hole(points[near])
         return d, n, H
@@ -220,6 +240,10 @@ class Placed:
     def is_ball(self) -> bool:
         return getattr(self.shape, "is_ball", False)
 
+    @property
+    def steepest(self) -> float:
+        return getattr(self.shape, "steepest", 1.0)
+
     @cached_property
     def box(self) -> FloatArray | None:
         box = getattr(self.shape, "box", None)
@@ -232,7 +256,12 @@ class Placed:
     def distance(self, points: FloatArray) -> Distance:
         A = np.asarray(self.axes)
         d, n, H = self.shape.distance((points - np.asarray(self.origin)) @ A)
-        return d, n @ A.T, A @ H @ A.T
+        # A H A' for all points in one product
+        return d, n @ A.T, (H.reshape(-1, 9) @ self._twice).reshape(-1, 3, 3)
+
+    @cached_property
+    def _twice(self) -> FloatArray:
+        return np.kron(self.axes, self.axes).T
 
 
 def flipped(shape: Shape) -> Placed:

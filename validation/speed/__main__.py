@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 
 from ..tables import markdown_table
-from . import chart, iterations, reductions, scale
+from . import chart, cost, iterations, reductions, scale
 from .rows import GAIN, REFERENCE, Row, expected_seconds, judged, pareto, read, write
 from .runs import PROBLEMS, STRATEGIES, Plan, plans, run, sources
 
@@ -46,6 +46,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--reductions", action="store_true", help="effect of each simplification")
     parser.add_argument("--scale", action="store_true", help="time and memory of large meshes")
     parser.add_argument("--iterations", action="store_true", help="what factorisations are for")
+    parser.add_argument("--cost", action="store_true", help="time of one Newton iteration")
     given = parser.parse_args(argv)
     given.out.mkdir(parents=True, exist_ok=True)
     if given.reductions:
@@ -55,6 +56,8 @@ def main(argv: list[str] | None = None) -> int:
     elif given.iterations:
         path = given.out / "iterations.md"
         _save(iterations.table(path, given.scenes or ()), path)
+    elif given.cost:
+        _save(cost.table(), given.out / "cost.md")
     else:
         path = given.out / "rows.csv"
         rows = read(path) if given.draw else _compute(given, path)
