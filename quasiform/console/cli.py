@@ -248,6 +248,8 @@ class Solver(Output):
     """Travel of an increment; by default the program chooses it."""
     no_estimate: bool = False
     """Do not estimate the error of the mesh."""
+    draft: bool = False
+    """A quick answer with a wider error: twice the size, twice the increments."""
     dry_run: bool = False
     """Print the model and the expected time; solve and write nothing."""
     linear: Literal["auto", "pardiso", "superlu"] = "auto"
@@ -639,6 +641,7 @@ def validate(
 
 # A run
 
+DRAFT = 2.0  # times the size and the increments
 # kept for `quasiform resume`
 OPTIONS = ("increment", "accuracy", "linear", "seeds", "one_mesh", "estimate")
 
@@ -653,7 +656,14 @@ def _solve(
     """Solve a model, or describe it."""
     if accuracy and solver.no_estimate:
         raise InputError("--accuracy needs the error estimate: drop --no-estimate")
-    given = (solver.increment, accuracy, solver.linear, seeds, one_mesh, not solver.no_estimate)
+    increment, estimate = solver.increment, not solver.no_estimate
+    if solver.draft:
+        if accuracy:
+            raise InputError("--draft answers on a coarse mesh: drop --accuracy")
+        model = model.recipe.build(DRAFT * model.size, like=model)
+        one_mesh, increment = True, increment or DRAFT * model.increment
+        estimate = estimate and "coarse"
+    given = (increment, accuracy, solver.linear, seeds, one_mesh, estimate)
     if not solver.dry_run:
         options = dict(zip(OPTIONS, given, strict=True))
         journal = qf.Journal(solver.claim(model.name), options, force=solver.force)

@@ -13,6 +13,7 @@ from .outcome import Outcome
 
 FloatArray = np.ndarray
 SAFETY = 1.25
+ALONE = 3.0  # the same where there are two meshes only
 
 
 def judged(result: Outcome, coarser: Sequence[Outcome], finer: Outcome | None = None) -> Outcome:
@@ -35,7 +36,7 @@ def judged(result: Outcome, coarser: Sequence[Outcome], finer: Outcome | None = 
     sizes, values = [level.model.size for level in levels], [level.quantities for level in levels]
     own = levels.index(result)
     estimate = {
-        name: float(discretisation_error([v[name] for v in values], sizes, own))
+        name: float(discretisation_error([v[name] for v in values], sizes, own, ALONE))
         + result.path_gap.get(name, 0.0)
         for name in values[0]
         if all(name in v for v in values)
@@ -43,7 +44,7 @@ def judged(result: Outcome, coarser: Sequence[Outcome], finer: Outcome | None = 
     blank = result.blank
     fields = [level.shear_angle_at(blank.nodes) for level in levels]
     fields[own] = nodal(blank, result.shear_angle)
-    error = discretisation_error(fields, sizes, own)[blank.triangles].mean(1)
+    error = discretisation_error(fields, sizes, own, ALONE)[blank.triangles].mean(1)
     return replace(
         result,
         estimate=estimate,
@@ -85,7 +86,10 @@ def _comparable(fine: Outcome, coarse: Outcome) -> bool:
 
 
 def discretisation_error(
-    values: Sequence[FloatArray | float], sizes: Sequence[float], own: int = 0
+    values: Sequence[FloatArray | float],
+    sizes: Sequence[float],
+    own: int = 0,
+    alone: float = SAFETY,
 ) -> FloatArray | float:
     """Error of the mesh from the same quantity on meshes of ascending sizes, the finest first.
 
@@ -104,7 +108,7 @@ def discretisation_error(
     d' is that of the second mesh to the one nearest to ρ times its size. r is at least 1/ρ² (second
     order) and at most one: where a boundary layer is not resolved yet, differences do not fall for
     a while. Where two meshes happen to agree, d'/ρ² is used. Two meshes alone have no r:
-    5/4 d/(ρ - 1).
+    d/(ρ - 1) with the safety factor `alone`, which [1]_ puts at 3.
 
     References
     ----------
@@ -122,7 +126,7 @@ def discretisation_error(
         return (SAFETY * last * (1 + r + r**2))[()]
     last, ratio = steps[0], ratios[0]
     if len(values) == 2:
-        return (SAFETY * last / (ratio - 1.0))[()]
+        return (alone * last / (ratio - 1.0))[()]
     third = 2 + int(np.argmin(np.abs(np.log(np.array(sizes[2:]) / (ratio * sizes[1])))))
     before = np.abs(np.subtract(values[1], values[third]))
     lowest = ratio**-2.0

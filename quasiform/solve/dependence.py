@@ -28,12 +28,14 @@ CHANGED = (
 )
 
 
-def coarser_run(result: Result, settings: Settings, callback: Callback | None) -> list[Result]:
+def coarser_run(
+    result: Result, settings: Settings, callback: Callback | None, vary: bool = True
+) -> list[Result]:
     """Run of the same model on a coarser mesh; no run where none can be built or completed.
 
-    The model is solved there with another in-plane bending too, and the result keeps what changes
-    (`Outcome.in_plane`) and all the work. A model that was changed by hand has no coarser mesh; a
-    note says so. An interruption ends the result with its reason.
+    Unless `vary` is off, the model is solved there with another in-plane bending too, and the
+    result keeps what changes (`Outcome.in_plane`) and all the work. A model that was changed by
+    hand has no coarser mesh; a note says so. An interruption ends the result with its reason.
     """
     if result.model.changed:
         result.notes.append(CHANGED)
@@ -43,7 +45,7 @@ def coarser_run(result: Result, settings: Settings, callback: Callback | None) -
         within = report(callback, f"error of the mesh: the same at {model.size:.3g} mm")
         coarse = follow(model, settings, within, partial=False)
         result.add_work(coarse)
-        if not coarse.reason:
+        if vary and not coarse.reason:
             _vary_in_plane(result, coarse, settings, callback)
     except InputError:  # too coarse to be built, or the user's own mesh
         return []

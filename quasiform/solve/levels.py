@@ -41,7 +41,7 @@ def solve(
     linear: str = "auto",
     tolerance: float = 1e-4,
     convex: Literal["on demand", "always", "never"] = "on demand",
-    estimate: bool = True,
+    estimate: bool | Literal["coarse"] = True,
     perturbation: float = 0.0,
     seed: int = 0,
     out: str | Path | Journal | None = None,
@@ -69,9 +69,10 @@ def solve(
         Sum of the nodal residuals relative to the driving force.
     convex : "on demand", "always" or "never"
         When the convex tangent takes the place of the exact one.
-    estimate : bool
+    estimate : bool or "coarse"
         Solve the model on a coarser mesh too, and its end on a finer one; the differences are the
-        error estimate. Also solve it with another in-plane bending (`Result.in_plane`).
+        error estimate. Also solve it with another in-plane bending (`Result.in_plane`). With
+        "coarse" the coarser mesh alone: a quick, wider estimate.
     perturbation : float
         Noise on every node at the start of every increment's solve, mm (standard deviation): what
         changes with it is one of several states.
@@ -100,10 +101,11 @@ def solve(
     journal = out if isinstance(out, Journal) or out is None else Journal(out, resume=resume)
     result = follow(model, settings, callback, journal)
     if estimate and not result.reason:
-        if journal:
+        if journal and estimate != "coarse":  # that takes a second or two
             journal.keep(result)
-        coarser = coarser_run(result, settings, callback)
-        result.judge(coarser, finer_end(result, settings, callback))
+        coarse = estimate == "coarse"
+        coarser = coarser_run(result, settings, callback, vary=not coarse)
+        result.judge(coarser, None if coarse else finer_end(result, settings, callback))
     if journal:
         journal.close(result)
     return result

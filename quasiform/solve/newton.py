@@ -56,7 +56,7 @@ def minimise(
     max_iterations = max_iterations or equations.max_iterations
     tangent.restart()  # what was lagged, or the bed, may be another one
     stress, equations.foreseen = equations.foreseen, None
-    energies: list[float] = []
+    energies = [equations.energy(x)]
     for _ in range(max_iterations):
         g = equations.gradient(x)
         residual = equations.residual(g)
@@ -64,14 +64,15 @@ def minimise(
             return x
         d = np.zeros_like(x)
         d[free] = tangent.step(x, equations.memory, g[free], stress)
-        energies = [*energies[-7:], equations.energy(x)]
         highest = energies[-1] if stress is None else max(energies)
-        before, x = x, _line_search(equations, x, g, d, highest)
+        before = x
+        x, energy = _line_search(equations, x, g, d, highest)
         if stress is not None:
             tangent.forget()  # no tangent of this state
         stress = _foresee(equations, before, x)
         if stress is None and np.array_equal(x, before + d):
-            x = _go_on(equations, x, tolerance)
+            x, energy = _go_on(equations, x, energy, tolerance)
+        energies = [*energies[-7:], energy]
         equations.check_slide(x)
     raise NotConvergedError(
         f"no equilibrium in {max_iterations} Newton iterations: residual {residual:.1e} of the "
@@ -79,9 +80,10 @@ def minimise(
     )
 
 
-def _go_on(equations: Equilibrium, x: FloatArray, tolerance: float) -> FloatArray:
-    """Take further steps of the present factor while they lower the energy."""
-    energy = equations.energy(x)
+def _go_on(
+    equations: Equilibrium, x: FloatArray, energy: float, tolerance: float
+) -> tuple[FloatArray, float]:
+    """Take further steps of the present factor while they lower the energy; state and energy, mJ."""
     for _ in range(FURTHER):
         g = equations.gradient(x)
         if equations.residual(g) < tolerance:
@@ -92,7 +94,7 @@ def _go_on(equations: Equilibrium, x: FloatArray, tolerance: float) -> FloatArra
         if not lower < energy:
             break
         x, energy = further, lower
-    return x
+    return x, energy
 
 
 def _foresee(equations: Equilibrium, x: FloatArray, moved: FloatArray) -> FloatArray | None:
@@ -105,8 +107,11 @@ def _foresee(equations: Equilibrium, x: FloatArray, moved: FloatArray) -> FloatA
 
 def _line_search(
     equations: Equilibrium, x: FloatArray, g: FloatArray, d: FloatArray, highest: float
-) -> FloatArray:
-    """Armijo's rule by halving, with a floor of round-off, a longest step, the flip guard."""
+) -> tuple[FloatArray, float]:
+    """Armijo's rule by halving, with a floor of round-off, a longest step, the flip guard.
+
+    The next state, and its energy, mJ.
+    """
     slope = float(g @ d)
     # the tangent is not positive definite there, or singular where a sheet slides freely
     if slope > 0 and (equations.convex == "never" or equations.loaded):
@@ -118,8 +123,9 @@ def _line_search(
     alpha = min(1.0, 3.0 * equations.mesh_size / max(longest, 1e-300))
     for _ in range(40):
         trial = x + alpha * d
-        if equations.energy_at(x, trial) <= highest + 1e-4 * alpha * slope + floor:
-            return trial
+        energy = equations.energy_at(x, trial)
+        if energy <= highest + 1e-4 * alpha * slope + floor:
+            return trial, energy
         alpha *= 0.5
     raise NotConvergedError(
         f"no descent along Newton's direction: residual {equations.residual(g):.1e} of the driving "
