@@ -2,7 +2,8 @@
 
 Each function stands for a few lines of numpy where it is called, and returns the same to
 round-off. They are compiled at their first call, once for each kind of machine, and kept on disk.
-Arrays are C-contiguous unless a function says otherwise.
+Arrays are C-contiguous and of floats; `rows` of points, `near`, `dofs`, `slots` and `takers` are of
+whole numbers, `acts` of truth values.
 """
 
 from __future__ import annotations
@@ -12,21 +13,16 @@ from typing import Any
 import numba
 import numpy as np
 
-FloatArray = np.ndarray
-IntArray = np.ndarray
-
-
 # in the place of arguments that are not given: matrices, values and slots
 NONE = np.empty((0, 0, 0)), np.empty(0), np.empty((0, 0), np.int32)
 
 
 def _compile(function: Any) -> Any:
     """Compile without a cache where no folder for one can be written to."""
-    options = {"fastmath": {"contract"}}
     try:
-        return numba.njit(cache=True, **options)(function)
-    except RuntimeError:  # no locator available
-        return numba.njit(**options)(function)
+        return numba.njit(cache=True, fastmath={"contract"})(function)
+    except RuntimeError:  # numba: "no locator available"
+        return numba.njit(fastmath={"contract"})(function)
 
 
 # a part of the function that calls it: sizes that are constant there unroll its loops
@@ -34,7 +30,7 @@ _inline = numba.njit(inline="always")
 
 
 @_compile
-def same(a: FloatArray, b: FloatArray) -> bool:
+def same(a, b):
     """Whether two arrays (n,) are equal."""
     if len(a) != len(b):
         return False
@@ -48,7 +44,7 @@ def same(a: FloatArray, b: FloatArray) -> bool:
 
 
 @_compile
-def add_forces(out: FloatArray, dofs: IntArray, forces: FloatArray) -> None:
+def add_forces(out, dofs, forces):
     """Add forces (m, k), in any order in memory, to out[dofs]."""
     for e in range(dofs.shape[0]):
         for i in range(dofs.shape[1]):
@@ -56,7 +52,7 @@ def add_forces(out: FloatArray, dofs: IntArray, forces: FloatArray) -> None:
 
 
 @_inline
-def _add(values: FloatArray, slot: int, value: float) -> None:
+def _add(values, slot, value):
     """Add to the values at a slot, twice at ~slot: where two unknowns of a stencil are one."""
     if slot >= 0:
         values[slot] += value
@@ -65,7 +61,7 @@ def _add(values: FloatArray, slot: int, value: float) -> None:
 
 
 @_inline
-def _put(out: FloatArray, values: FloatArray, slots: IntArray, e: int, K: FloatArray) -> None:
+def _put(out, values, slots, e, K):
     """Put the stiffness of stencil e, the upper half of K (k, k), where it is wanted.
 
     It is set in `out` (m, k, k) if that has rows; else it is added to the values at slots[e].
@@ -83,7 +79,7 @@ def _put(out: FloatArray, values: FloatArray, slots: IntArray, e: int, K: FloatA
 
 
 @_compile
-def add_stiffness(values: FloatArray, rows: IntArray, slots: IntArray, H: FloatArray) -> None:
+def add_stiffness(values, rows, slots, H):
     """Add the upper triangles of H (m, k, k) to the values at slots[rows]."""
     none = np.empty((0, 0, 0))
     for e in range(len(rows)):
@@ -91,9 +87,7 @@ def add_stiffness(values: FloatArray, rows: IntArray, slots: IntArray, H: FloatA
 
 
 @_compile
-def add_point_forces(
-    out: FloatArray, rows: IntArray, dofs: IntArray, shares: FloatArray, forces: FloatArray
-) -> None:
+def add_point_forces(out, rows, dofs, shares, forces):
     """Add forces (m, 3) on points `rows` to their nodes and to the height of the tool, the last."""
     last = dofs.shape[1] - 1
     for e in range(len(rows)):
@@ -104,7 +98,7 @@ def add_point_forces(
 
 
 @_compile
-def gather(K: FloatArray, acts: np.ndarray, rows: IntArray, of_rows: FloatArray) -> None:
+def gather(K, acts, rows, of_rows):
     """Add stiffnesses (r, 3, 3) of points `rows` to those of all points, K (m, 3, 3)."""
     for e in range(len(rows)):
         acts[rows[e]] = True
@@ -114,14 +108,7 @@ def gather(K: FloatArray, acts: np.ndarray, rows: IntArray, of_rows: FloatArray)
 
 
 @_inline
-def _add_points(
-    values: FloatArray,
-    acts: np.ndarray,
-    slots: IntArray,
-    shares: FloatArray,
-    K: FloatArray,
-    nodes: int,
-) -> None:
+def _add_points(values, acts, slots, shares, K, nodes):
     for e in range(len(acts)):
         if not acts[e]:
             continue
@@ -143,9 +130,7 @@ def _add_points(
 
 
 @_compile
-def add_point_stiffness(
-    values: FloatArray, acts: np.ndarray, slots: IntArray, shares: FloatArray, K: FloatArray
-) -> None:
+def add_point_stiffness(values, acts, slots, shares, K):
     """Add stiffnesses K (m, 3, 3) of points that act (m,), as seen by their nodes and the tool."""
     if shares.shape[1] == 16:
         _add_points(values, acts, slots, shares, K, 5)
@@ -157,16 +142,7 @@ def add_point_stiffness(
 
 
 @_compile
-def three_stages(
-    I: FloatArray,
-    I0: float,
-    C_ini: float,
-    S_ini: float,
-    C_mid: float,
-    dS_mid: float,
-    C_lo: float,
-    I_lo: float,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def three_stages(I, I0, C_ini, S_ini, C_mid, dS_mid, C_lo, I_lo):
     """Energy, stress and stiffness (n,) of `ThreeStageLaw` at I; with S_ini = inf it is linear."""
     W, S, C = np.empty(len(I)), np.empty(len(I)), np.empty(len(I))
     It, c = S_ini / C_ini, C_ini / dS_mid
@@ -186,7 +162,7 @@ def three_stages(
 
 
 @_compile
-def fibre_vectors(g: FloatArray, dofs: IntArray, x: FloatArray) -> FloatArray:
+def fibre_vectors(g, dofs, x):
     """(2, dim, n) vectors f_p = Σ_i g_pi x_i from g (2, k, n) and the numbers (n, k dim) in x."""
     _, k, n = g.shape
     dim = dofs.shape[1] // k
@@ -201,7 +177,7 @@ def fibre_vectors(g: FloatArray, dofs: IntArray, x: FloatArray) -> FloatArray:
 
 
 @_compile
-def invariants(f: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def invariants(f):
     """I4, I6, I8 (n,) of fibre vectors (2, dim, n)."""
     n = f.shape[2]
     I4, I6, I8 = np.zeros(n), np.zeros(n), np.zeros(n)
@@ -214,7 +190,7 @@ def invariants(f: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 @_compile
-def turned_over(f: FloatArray, after: FloatArray) -> bool:
+def turned_over(f, after):
     """Whether a triangle has turned over between two states with fibre vectors (2, dim, n)."""
     for e in range(f.shape[2]):
         turn = 0.0
@@ -228,7 +204,7 @@ def turned_over(f: FloatArray, after: FloatArray) -> bool:
 
 
 @_compile
-def nodal_forces(g: FloatArray, S: FloatArray, f: FloatArray) -> FloatArray:
+def nodal_forces(g, S, f):
     """(n, k dim) forces Σ_pq g_pi S_pq f_q from stresses (2, 2, n) and fibre vectors."""
     _, k, n = g.shape
     dim = f.shape[1]
@@ -243,17 +219,7 @@ def nodal_forces(g: FloatArray, S: FloatArray, f: FloatArray) -> FloatArray:
 
 
 @_inline
-def _membrane(
-    g: FloatArray,
-    f: FloatArray,
-    S: FloatArray,
-    W: FloatArray,
-    out: FloatArray,
-    values: FloatArray,
-    slots: IntArray,
-    k: int,
-    dim: int,
-) -> None:
+def _membrane(g, f, S, W, out, values, slots, k, dim):
     Kg, H = np.empty((2, dim, dim)), np.empty((k * dim, k * dim))
     for e in range(f.shape[2]):
         W4, W6, W8 = 4.0 * W[0, e], W[1, e], 4.0 * W[2, e]
@@ -279,15 +245,7 @@ def _membrane(
 
 
 @_compile
-def membrane_stiffness(
-    g: FloatArray,
-    f: FloatArray,
-    S: FloatArray,
-    W: FloatArray,
-    out: FloatArray,
-    values: FloatArray,
-    slots: IntArray,
-) -> None:
+def membrane_stiffness(g, f, S, W, out, values, slots):
     """Stiffnesses of all stencils of the membrane, set in `out` or added to values; see `_put`.
 
     From g (2, k, n), fibre vectors f (2, dim, n), stress S (2, 2, n) and W = W4'', W6'', W8''
@@ -306,15 +264,7 @@ def membrane_stiffness(
 
 
 @_inline
-def _combine(
-    y: FloatArray,
-    rows: FloatArray,
-    constant: FloatArray,
-    dofs: IntArray,
-    x: FloatArray,
-    k: int,
-    dim: int,
-) -> None:
+def _combine(y, rows, constant, dofs, x, k, dim):
     place = np.empty(k * dim)
     for e in range(len(y)):
         for i in range(k * dim):
@@ -328,9 +278,7 @@ def _combine(
 
 
 @_compile
-def combine(
-    rows: FloatArray, constant: FloatArray, dofs: IntArray, x: FloatArray, count: int
-) -> FloatArray:
+def combine(rows, constant, dofs, x, count):
     """(m, count, dim) first combinations of the nodes (m, k dim) by rows (m, 4, k, dim)."""
     m, _, k, dim = rows.shape
     y = np.empty((m, count, dim))
@@ -342,7 +290,7 @@ def combine(
 
 
 @_inline
-def _spread(nodal: FloatArray, rows: FloatArray, forces: FloatArray, k: int, dim: int) -> None:
+def _spread(nodal, rows, forces, k, dim):
     for e in range(len(nodal)):
         for i in range(k):
             for c in range(dim):
@@ -353,7 +301,7 @@ def _spread(nodal: FloatArray, rows: FloatArray, forces: FloatArray, k: int, dim
 
 
 @_compile
-def spread(rows: FloatArray, forces: FloatArray) -> FloatArray:
+def spread(rows, forces):
     """(m, k dim) nodal forces from forces (m, count, dim) on these combinations."""
     m, _, k, dim = rows.shape
     nodal = np.empty((m, k * dim))
@@ -365,7 +313,7 @@ def spread(rows: FloatArray, forces: FloatArray) -> FloatArray:
 
 
 @_compile
-def bending_curvature(y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def bending_curvature(y):
     """Curvatures (m, 2), normals (m, 3) and |u x v| (m,) from k_warp, k_weft, u, v (m, 4, 3)."""
     m = len(y)
     kappa, normal, length = np.empty((m, 2)), np.empty((m, 3)), np.empty(m)
@@ -383,7 +331,7 @@ def bending_curvature(y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray
 
 
 @_compile
-def bending_energy(y: FloatArray, kappa: FloatArray, B: FloatArray, r: float) -> FloatArray:
+def bending_energy(y, kappa, B, r):
     """(m,) energies with the stiffnesses B (m, 2) and the in-plane share r."""
     energy = np.zeros(len(y))
     for e in range(len(y)):
@@ -394,7 +342,7 @@ def bending_energy(y: FloatArray, kappa: FloatArray, B: FloatArray, r: float) ->
 
 
 @_inline
-def _cross(out: FloatArray, a: FloatArray, b: FloatArray) -> None:
+def _cross(out, a, b):
     """Set a x b."""
     out[0] = a[1] * b[2] - a[2] * b[1]
     out[1] = a[2] * b[0] - a[0] * b[2]
@@ -402,9 +350,7 @@ def _cross(out: FloatArray, a: FloatArray, b: FloatArray) -> None:
 
 
 @_inline
-def _slopes(
-    y: FloatArray, f: int, kappa: float, n: FloatArray, length: float, q: FloatArray, d: FloatArray
-) -> None:
+def _slopes(y, f, kappa, n, length, q, d):
     """Set q = (k - κ n)/|u x v| and the derivatives d (12,) of the curvature of family f."""
     per = 1.0 / length
     for c in range(3):
@@ -415,14 +361,7 @@ def _slopes(
 
 
 @_compile
-def bending_forces(
-    y: FloatArray,
-    kappa: FloatArray,
-    normal: FloatArray,
-    length: FloatArray,
-    B: FloatArray,
-    r: float,
-) -> FloatArray:
+def bending_forces(y, kappa, normal, length, B, r):
     """(m, 4, 3) derivatives of the energy by k_warp, k_weft, u and v."""
     forces = np.zeros((len(y), 12))
     q, d = np.empty(3), np.empty(12)
@@ -438,15 +377,7 @@ def bending_forces(
 
 
 @_inline
-def _curved(
-    y: FloatArray,
-    n: FloatArray,
-    length: float,
-    w: FloatArray,
-    total: float,
-    Q: FloatArray,
-    H: FloatArray,
-) -> None:
+def _curved(y, n, length, w, total, Q, H):
     """Add what the second derivative of κ contributes to H (12, 12): w = B κ, total = Σ w κ."""
     P, PM, CM = np.empty((3, 3)), np.empty((3, 6)), np.empty(6)
     C, u, v, per = np.empty((3, 3)), y[2], y[3], 1.0 / length
@@ -479,9 +410,7 @@ def _curved(
 
 
 @_inline
-def _project(
-    out: FloatArray, H: FloatArray, R: FloatArray, takers: IntArray, k: int, width: int
-) -> None:
+def _project(out, H, R, takers, k, width):
     """Set out (3 k, width) = R' H with rows R (4, k, 3), which only the `takers` of a node take."""
     for i in range(k):
         for b in range(3):
@@ -498,21 +427,7 @@ def _project(
 
 
 @_inline
-def _bending(
-    y: FloatArray,
-    kappa: FloatArray,
-    normal: FloatArray,
-    length: FloatArray,
-    B: FloatArray,
-    r: float,
-    convex: bool,
-    rows: FloatArray,
-    takers: IntArray,
-    out: FloatArray,
-    values: FloatArray,
-    slots: IntArray,
-    k: int,
-) -> None:
+def _bending(y, kappa, normal, length, B, r, convex, rows, takers, out, values, slots, k):
     d, q, Q, w, H = np.empty((2, 12)), np.empty(3), np.empty(3), np.empty(2), np.empty((12, 12))
     HR, RH, K = np.empty((3 * k, 12)), np.empty((12, 3 * k)), np.empty((3 * k, 3 * k))
     for e in range(len(y)):
@@ -542,20 +457,7 @@ def _bending(
 
 
 @_compile
-def bending_stiffness(
-    y: FloatArray,
-    kappa: FloatArray,
-    normal: FloatArray,
-    length: FloatArray,
-    B: FloatArray,
-    r: float,
-    convex: bool,
-    rows: FloatArray,
-    takers: IntArray,
-    out: FloatArray,
-    values: FloatArray,
-    slots: IntArray,
-) -> None:
+def bending_stiffness(y, kappa, normal, length, B, r, convex, rows, takers, out, values, slots):
     """Stiffnesses of all stencils of bending, set in `out` or added to values; see `_put`.
 
     `takers` (k, 2) are the two of the four rows that take a node, or -1 if all do.
@@ -571,7 +473,7 @@ def bending_stiffness(
 
 
 @_compile
-def places(dofs: IntArray, shares: FloatArray, x: FloatArray, x0: float, y0: float) -> FloatArray:
+def places(dofs, shares, x, x0, y0):
     """(m, 3) places of the points less the tool's place and height, the last of the shares."""
     m, last = len(shares), shares.shape[1] - 1
     arm = np.empty((m, 3))
@@ -583,7 +485,7 @@ def places(dofs: IntArray, shares: FloatArray, x: FloatArray, x0: float, y0: flo
 
 
 @_compile
-def may_touch(y: FloatArray, centre: FloatArray, clear: FloatArray, steepest: float) -> IntArray:
+def may_touch(y, centre, clear, steepest):
     """Numbers of the points (m, 3) that have left the balls (m,) in which they touch nothing."""
     rows, count = np.empty(len(y), dtype=np.int64), 0
     for e in range(len(y)):
@@ -597,20 +499,7 @@ def may_touch(y: FloatArray, centre: FloatArray, clear: FloatArray, steepest: fl
 
 
 @_compile
-def touching(
-    near: IntArray,
-    d: FloatArray,
-    n: FloatArray,
-    bend: FloatArray,
-    y: FloatArray,
-    reach: FloatArray,
-    area: FloatArray,
-    k: float,
-    blend: float,
-    far: float,
-    centre: FloatArray,
-    clear: FloatArray,
-) -> tuple[IntArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+def touching(near, d, n, bend, y, reach, area, k, blend, far, centre, clear):
     """`Acting` from the distances of the points `near`; updates where they are clear."""
     count = 0
     for e in range(len(near)):
@@ -642,14 +531,7 @@ def touching(
 
 
 @_compile
-def friction(
-    rows: IntArray,
-    points: FloatArray,
-    anchor: FloatArray,
-    normal: FloatArray,
-    limit: FloatArray,
-    stick: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def friction(rows, points, anchor, normal, limit, stick):
     """Energies (m,), forces (m, 3) and stiffnesses (m, 3, 3) at points `rows` in a tool's frame."""
     m = len(rows)
     energy, force, K = np.empty(m), np.empty((m, 3)), np.empty((m, 3, 3))
@@ -680,7 +562,7 @@ def friction(
 
 
 @_compile
-def longest_slide(points: FloatArray, anchor: FloatArray, normal: FloatArray) -> float:
+def longest_slide(points, anchor, normal):
     """Longest way of points (m, 3) from their anchors across the normals, of those with anchors."""
     longest = 0.0
     for i in range(len(points)):
@@ -696,14 +578,7 @@ def longest_slide(points: FloatArray, anchor: FloatArray, normal: FloatArray) ->
 
 
 @_compile
-def _rounded(
-    x: FloatArray,
-    y: FloatArray,
-    z: FloatArray,
-    core: tuple[FloatArray, ...],
-    n: FloatArray,
-    H: FloatArray,
-) -> float:
+def _rounded(x, y, z, core, n, H):
     """Distance of a point from a convex core; sets its gradient n (3,) and curvature H (3, 3)."""
     corners, start, t, length, N, c, sides, least = core
     n_faces, n_edges = len(N), len(t)
@@ -757,9 +632,7 @@ def _rounded(
 
 
 @_compile
-def rounded(
-    points: FloatArray, core: tuple[FloatArray, ...], radius: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def rounded(points, core, radius):
     """`Rounded.distance`: d (m,), n (m, 3) and H (m, 3, 3) at points (m, 3)."""
     m = len(points)
     d, n, H = np.empty(m), np.empty((m, 3)), np.empty((m, 3, 3))
@@ -770,14 +643,7 @@ def rounded(
 
 
 @_compile
-def opening(
-    points: FloatArray,
-    core: tuple[FloatArray, ...],
-    radius: float,
-    fillet: float,
-    low: FloatArray,
-    high: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def opening(points, core, radius, fillet, low, high):
     """`Opening.distance`: beyond the corners low and high (2,) that of the plate."""
     count = len(points)
     d, n, H = np.empty(count), np.empty((count, 3)), np.empty((count, 3, 3))

@@ -92,6 +92,7 @@ def test_normal_and_curvature_are_the_derivatives_of_the_distance(name, request)
     assert_allclose(differences(lambda x: grid.distance(x)[0], points), n, atol=1e-8)
     assert_allclose(differences(lambda x: grid.distance(x)[1], points), H, atol=2e-5)
     assert np.abs(H).max() > 0.01
+    assert np.linalg.norm(n, axis=1).max() < grid.steepest
     assert (H == H.transpose(0, 2, 1)).all()
 
 

@@ -87,10 +87,7 @@ class Term:
         slots: IntArray,
         stress: FloatArray | None = None,
     ) -> None:
-        """Add the upper triangles of the Hessians to the values at slots (n_stencils, n_pairs).
-
-        Those at ~slot count twice; the stress is a foreseen one.
-        """
+        """Add upper triangles to values at slots (n_stencils, n_pairs), those at ~slot twice."""
         rows: IntArray | slice = slice(None)
         if self.selective:
             rows = self.active(x, state)  # type: ignore[attr-defined]
