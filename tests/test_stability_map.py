@@ -54,7 +54,7 @@ def test_each_scene_is_built_with_its_size_and_its_fabric(name):
     assert scene.size == case.sizes[0]
     assert scene.recipe.build(case.sizes[1]).size == case.sizes[1]
     assert bool(scene.contacts) == case.contact
-    assert all(contact.compaction == 400.0 for contact in scene.contacts)
+    assert all(contact.compaction == 100.0 for contact in scene.contacts)
     assert all(contact.tool.friction == 0.5 for contact in scene.contacts)
     assert np.divide(case.sizes[:-1], case.sizes[1:]) == pytest.approx(2.0)
 

@@ -37,7 +37,8 @@ class Claim:
         self.folder = folder = Path(out)
         missing = [path for path in (folder, *folder.parents) if not path.exists()]
         with writing_to(folder):
-            folder.parent.mkdir(parents=True, exist_ok=True)
+            if not folder.parent.exists():
+                folder.parent.mkdir(parents=True, exist_ok=True)
             try:
                 folder.mkdir(exist_ok=not new)
             except FileExistsError as error:

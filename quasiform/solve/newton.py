@@ -83,7 +83,7 @@ def minimise(
 def _go_on(
     equations: Equilibrium, x: FloatArray, energy: float, tolerance: float
 ) -> tuple[FloatArray, float]:
-    """Take further steps of the present factor while they lower the energy; state and energy, mJ."""
+    """Take further steps of the present factor while they lower the energy; x and that, mJ."""
     for _ in range(FURTHER):
         g = equations.gradient(x)
         if equations.residual(g) < tolerance:
