@@ -14,13 +14,13 @@ import pytest
 
 import quasiform as qf
 from quasiform.checks import InputError
-from quasiform.comparison.shells import read_shells
 from quasiform.console.cli import main
 from quasiform.fabric import TabulatedLaw
 from quasiform.handover import FORMATS, abaqus_deck, carry, export, flat_pattern, read_formed
 from quasiform.handover.handover import FILES
 from quasiform.handover.inp import moduli
 from quasiform.handover.tool_surface import from_scene_file, sampled
+from quasiform.meshes.shells import read_shells
 from quasiform.result.files import FILES as RESULT_FILES
 from quasiform.scenes.scene_file import FOLDER, load
 from quasiform.tools.shapes import ball, round_opening, turned

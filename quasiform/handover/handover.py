@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..checks import InputError, suggestion
-from ..comparison.shells import read_shells
+from ..meshes.shells import read_shells
 from ..result.files import replaced
 from ..result.summary import package_version
 from . import drape, inp, table

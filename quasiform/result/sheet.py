@@ -3,9 +3,9 @@
 With the flat legs dX of a triangle and its formed legs dx, F = dx dX⁻¹ (3, 2). The fibres become
 a = F warp and b = F weft, sin γ = a·b / (|a| |b|), and the area changes by |F e1 × F e2|.
 
-A file of another code is read as it stands: triangles and quadrilaterals, which are split; of cells
-of higher order the corners. Everything else (solid cells, lines, nodes without a triangle) is left
-out and counted in `left_out`.
+A file of another code is read as it stands: triangles, quadrilaterals and polygons, which are
+split; of cells of higher order the corners. Everything else (solid cells, lines, nodes without an
+element) is left out and counted in `left_out`.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..checks import InputError, check_file, naming
+from ..meshes.shells import Shells
 from ..net.blank import Blank
 
 if TYPE_CHECKING:
@@ -31,8 +32,6 @@ if TYPE_CHECKING:
 FloatArray = np.ndarray
 FLAT = 1e-3  # of its size: how far an undeformed sheet may leave its plane
 KINDS = (".vtu", ".vtk", ".xdmf", ".xmf")
-CORNERS = {"triangle": 3, "triangle6": 3, "triangle7": 3, "quad": 4, "quad8": 4, "quad9": 4}
-SPLIT = {3: [[0, 1, 2]], 4: [[0, 1, 2], [0, 2, 3]]}
 DOUBTS = (
     "beyond_identified_range",
     "bands_may_form",
@@ -63,7 +62,7 @@ class FormedSheet:
     loose : dict of name to float
         Single numbers of a file, such as energies.
     left_out : dict of kind to count
-        What a file holds besides the sheet: cells of another kind, nodes without a triangle.
+        What a file holds besides the sheet: cells of another kind, nodes without an element.
     contour : (k, 2) array or None
         Outline seen along z, where it is known without a mesh; closed, or a part of it.
     """
@@ -240,7 +239,7 @@ class FormedSheet:
             raise InputError("not all points are finite numbers")
         left_out = dict(left_out or {})
         if unused := len(points) - len(used):
-            left_out["nodes without a triangle"] = unused
+            left_out["nodes without an element"] = unused
         return cls(
             points[used],
             triangles.reshape(-1, 3),
@@ -320,16 +319,11 @@ def readable(path: Path, read: Callable[[], Any]) -> Any:
 
 def _from_meshio(mesh: meshio.Mesh, travel: float | None) -> FormedSheet:
     """Surface cells of a mesh, quadrilaterals split, with their fields."""
-    triangles, chosen, left_out = [np.empty((0, 3), dtype=int)], [], {}
-    for block in mesh.cells:
-        splits = SPLIT.get(CORNERS.get(block.type, 0), [])
-        triangles += [block.data[:, split] for split in splits]
-        chosen.append(np.tile(np.arange(len(block.data)), len(splits)).astype(int))
-        if not splits and len(block.data):
-            left_out[block.type] = left_out.get(block.type, 0) + len(block.data)
-    points = np.asarray(mesh.points, dtype=float)
+    shells = Shells.of_mesh(mesh)
+    triangles, rows = shells.split()
+    chosen = shells.elements[rows] - 1
     cell_fields = {
-        name: np.concatenate([np.asarray(v)[k] for v, k in zip(blocks, chosen, strict=True)])
+        name: np.concatenate([np.asarray(values) for values in blocks])[chosen]
         for name, blocks in mesh.cell_data.items()
     }
     loose = {
@@ -337,8 +331,9 @@ def _from_meshio(mesh: meshio.Mesh, travel: float | None) -> FormedSheet:
         for name, value in mesh.field_data.items()
         if np.issubdtype(np.asarray(value).dtype, np.number) and np.size(value)
     }
+    points = np.asarray(mesh.points, dtype=float)
     points = np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
-    surface = points, np.concatenate(triangles), mesh.point_data, cell_fields, left_out
+    surface = points, triangles, mesh.point_data, cell_fields, shells.left_out
     return FormedSheet.of_surface(*surface, travel=travel, loose=loose)
 
 
