@@ -165,7 +165,7 @@ def formed_between_tools(
     )
     _assemble(model, file, tools_in_frame, outline)
     if not like:
-        check_mechanics(model, file, outline)
+        check_mechanics(file, tools, from_files, outline, fabric.thickness, travel)
     _measure(model)
     return model
 
