@@ -15,7 +15,16 @@ from ..checks import FORMAT, InputError, check_keys, check_number
 from ..result.files import replaced
 from ..result.sheet import FormedSheet
 from ..result.summary import package_version
-from .differences import COLUMNS, Row, Rows, common_forces, matched, other_blank, own_values
+from .differences import (
+    COLUMNS,
+    Row,
+    Rows,
+    common_forces,
+    matched,
+    other_blank,
+    own_values,
+    weighed_alike,
+)
 from .mapping import ANGLE, SIDES, WAYS
 from .place import aligned, unfolded
 from .read import Reading, Side, read_side
@@ -219,6 +228,7 @@ def compare(
     ends = [side.end for side in (mine, other) if side.end is not None]
     goal = min(ends, default=None) if travel is None else travel
     sheet, theirs, notes = _in_place((mine, other), goal, mirror, align, how.signed)
+    sheet, theirs = weighed_alike(sheet, theirs)
     warnings, rows = other_blank(sheet, theirs), Rows(standing, notes)
     field = gamma = None
     if ANGLE in sheet.point_fields and ANGLE in theirs.point_fields:

@@ -65,6 +65,8 @@ class FormedSheet:
         What a file holds besides the sheet: cells of another kind, nodes without an element.
     contour : (k, 2) array or None
         Outline seen along z, where it is known without a mesh; closed, or a part of it.
+    by_formed_area : bool
+        Whether means go by the formed area although the flat one is known.
     """
 
     points: FloatArray | None = None
@@ -77,6 +79,7 @@ class FormedSheet:
     loose: Mapping[str, float] = field(default_factory=dict)
     left_out: Mapping[str, int] = field(default_factory=dict)
     contour: FloatArray | None = None
+    by_formed_area: bool = False
 
     def __repr__(self) -> str:
         at = "" if self.travel is None else f" at {self.travel:.4g} mm"
@@ -117,6 +120,11 @@ class FormedSheet:
     def flat_areas(self) -> FloatArray:
         """(m,) areas of the flat triangles, mm²; of the formed ones where these alone are known."""
         return _areas(self.rest, self.triangles)
+
+    @property
+    def weighing_areas(self) -> FloatArray:
+        """(m,) areas of the triangles by which means go, mm²."""
+        return self.areas if self.by_formed_area else self.flat_areas
 
     @cached_property
     def area_ratio(self) -> FloatArray:
@@ -179,7 +187,7 @@ class FormedSheet:
         """(n,) area that a point stands for, mm², of the flat sheet if known; 1 without a mesh."""
         if not len(self.triangles):
             return np.ones(len(self.places))
-        share = np.repeat(self.flat_areas / 3.0, 3)
+        share = np.repeat(self.weighing_areas / 3.0, 3)
         return np.bincount(self.triangles.ravel(), share, len(self.places))
 
     def at_nodes(self, values: FloatArray) -> FloatArray:
@@ -194,7 +202,7 @@ class FormedSheet:
         """
         known = np.isfinite(values)
         around, n = self.triangles[known].ravel(), len(self.places)
-        weight = np.repeat(self.flat_areas[known], 3)
+        weight = np.repeat(self.weighing_areas[known], 3)
         with np.errstate(invalid="ignore", divide="ignore"):
             total = np.bincount(around, weight * np.repeat(values[known], 3), n)
             return total / np.bincount(around, weight, n)
