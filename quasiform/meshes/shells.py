@@ -100,7 +100,9 @@ class Shells:
         n = np.cross(arms[:, 1:-1], arms[:, 2:]).sum(1)
         length = np.linalg.norm(n, axis=1)[:, None]
         if not (length > 0).all():
-            raise InputError(f"element {self.elements[int(length.argmin())]} has no area")
+            raise InputError(
+                f"element {self.elements[int(length.argmin())]} has no area or is crossed"
+            )
         return n / length
 
     def split(self) -> tuple[IntArray, IntArray]:

@@ -144,7 +144,7 @@ def _drawn(
         for part in ("", ".path", ".disassemble", ".units")
     )
     logging.getLogger("ezdxf").addHandler(logging.NullHandler())  # else it prints warnings
-    lines, used, left_out = [], Counter(), Counter()
+    lines, seen, used, left_out = [], set[str](), Counter(), Counter()
     try:
         drawing = ezdxf.readfile(path)
         unit = drawing.header.get("$INSUNITS", 0)
@@ -160,6 +160,7 @@ def _drawn(
             for entity in inner:
                 kind, on = entity.dxftype(), entity.dxf.layer
                 on = top.dxf.layer if on == "0" else on  # of the block it is in
+                seen.add(on)
                 state = hidden.get(on.casefold()) or hidden.get(top.dxf.layer.casefold())
                 if state or (layer is not None and on.casefold() != layer.casefold()):
                     left_out[f"{kind} on layer {on}" + f" ({state})" * bool(state)] += 1
@@ -174,8 +175,7 @@ def _drawn(
         reason = " ".join(str(error).replace(f"'{path}'", "it").split()) or type(error).__name__
         raise InputError(f"not a readable .dxf file: {reason}") from error
     if layer is not None and not used:
-        known = sorted({entry.dxf.name for entry in drawing.layers})
-        raise InputError(f"no lines on layer '{layer}': {suggestion(layer, known)}")
+        raise InputError(f"no lines on layer '{layer}': {suggestion(layer, sorted(seen))}")
     if not lines and left_out:
         raise InputError(f"no lines found: the drawing holds {counted(left_out)}")
     notes = ["drawn on " + ", ".join(f"layer {on} ({n} lines)" for on, n in used.items())]
