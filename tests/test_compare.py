@@ -120,6 +120,19 @@ def test_a_result_beside_itself_differs_by_nothing(result):
     assert found["force along the travel, root mean square of the largest"].difference == 0.0
 
 
+def test_a_field_beside_itself_without_displacements_differs_by_nothing(tmp_path):
+    """One sheet has flat areas, the other only formed ones: both means must go by the same."""
+    mesh = mesh_of(21, cells=True)
+    result = write_result(tmp_path / "result", mesh)
+    field = {"GAMMA": mesh.cell_data["shear_angle"]}
+    meshio.Mesh(mesh.points, mesh.cells, cell_data=field).write(tmp_path / "same.vtu")
+    found = compare(result, tmp_path / "same.vtu", field="GAMMA")
+    rows = [row for row in found.rows if row.unit == "deg"]
+    assert len(rows) == 8
+    assert [row.difference for row in rows] == [0.0] * 8
+    assert any("by formed area" in note for note in found.notes)
+
+
 def test_statistics_are_weighted_by_area():
     # a coarse and a fine half: the plain mean over the nodes would lean to the fine one
     X = np.array([[0.0, 0], [10, 0], [10, 10], [0, 10], [11, 0], [11, 10]])

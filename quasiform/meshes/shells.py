@@ -7,7 +7,7 @@ higher order the corners make the surface; their other nodes are kept in `middle
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -125,6 +125,22 @@ class Shells:
         left_out = {**self.left_out, **(why or {})}
         parts = {"corners": self.corners[rows], "elements": self.elements[rows]}
         return replace(self, **parts, middles=self.middles[rows], left_out=left_out)
+
+    def kept_nodes(self, known: Container[int]) -> IntArray:
+        """(m,) nodes that an element has in a code that knows types of `known` numbers of nodes.
+
+        Of an element of higher order than two the corners are kept.
+        """
+        whole = self.count + (self.middles >= 0).sum(1)
+        second = np.where(self.triangular, np.where(whole > 7, 3, 6), np.where(whole > 9, 4, 8))
+        kept = np.where(whole == 9, 9 if 9 in known else 8, second)
+        return np.where(whole == self.count, self.count, kept)
+
+    def rows_of(self, chosen: np.ndarray, nodes: int) -> IntArray:
+        """(k, nodes) rows of `points` of some elements: the corners, then nodes of second order."""
+        corners = 3 if nodes in (3, 6) else 4
+        both = self.corners[chosen, :corners], self.middles[chosen, : nodes - corners]
+        return np.hstack(both) if len(both[0]) else np.empty((0, nodes), dtype=int)
 
     def with_used_nodes(self) -> Shells:
         """Without nodes that no element has, which are counted."""
