@@ -752,3 +752,19 @@ def test_points_beyond_a_sheet_are_not_compared():
     gamma = mapped(sheet, points, "flat")
     np.testing.assert_allclose(gamma[:2], [20.0, 28.0], atol=1e-9)
     assert np.isnan(gamma[2])
+
+
+def test_cells_that_are_not_used_are_the_remedy_not_the_place(result, tmp_path):
+    """A third of the reference is solid: no other place (--align) would bring it back."""
+    mesh = mesh_of(31, cells=True, displaced=False)
+    triangles, gamma = mesh.cells[0].data, mesh.cell_data["shear_angle"][0]
+    kept = mesh.points[triangles].mean(1)[:, 0] < 30
+    wedges = np.hstack([triangles[~kept], triangles[~kept]])
+    cells = [("triangle", triangles[kept]), ("wedge", wedges)]
+    data = {"shear_angle": [gamma[kept], gamma[~kept]]}
+    meshio.Mesh(mesh.points, cells, cell_data=data).write(tmp_path / "solid.vtu")
+    notes = compare(result, tmp_path / "solid.vtu", by="formed").notes
+    many = f"{(~kept).sum()} wedge"
+    assert any("of its file" in note and many in note for note in notes if "warning" in note)
+    assert not any("--align" in note for note in notes)
+    assert any(note.startswith(f"left out of the file: {many}") for note in notes)
