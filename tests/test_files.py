@@ -19,6 +19,7 @@ from quasiform.net.free_mesh import own_mesh
 from quasiform.net.outline import read_drawing
 from quasiform.result.sheet import read_sheets
 from quasiform.scenes import scene_file
+from quasiform.solve.equilibrium import Equilibrium
 from quasiform.tools.grid import from_file
 from quasiform.tools.surface_file import read_surface, read_with_notes
 
@@ -612,6 +613,8 @@ def test_an_unloaded_sheet_is_an_equilibrium(tmp_path, size):
     die = DIE.replace("60.0", "40.0")
     model = scene(tmp_path, 'shape = "round punch"\nradius = 30.0', blank, die)
     model = qf.forming(tmp_path / "scene.toml", travel=0.5)
+    equations = Equilibrium(model)
+    assert equations.residual(equations.gradient(model.x0), True) < equations.tolerance
     result = qf.solve(model, estimate=False)
     assert result.status == "completed"
     assert 0 < result.force < 0.1
