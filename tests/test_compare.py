@@ -120,6 +120,19 @@ def test_a_result_beside_itself_differs_by_nothing(result):
     assert found["force along the travel, root mean square of the largest"].difference == 0.0
 
 
+def test_a_field_beside_itself_without_displacements_differs_by_nothing(tmp_path):
+    """One sheet has flat areas, the other only formed ones: both means must go by the same."""
+    mesh = mesh_of(21, cells=True)
+    result = write_result(tmp_path / "result", mesh)
+    field = {"GAMMA": mesh.cell_data["shear_angle"]}
+    meshio.Mesh(mesh.points, mesh.cells, cell_data=field).write(tmp_path / "same.vtu")
+    found = compare(result, tmp_path / "same.vtu", field="GAMMA")
+    rows = [row for row in found.rows if row.unit == "deg"]
+    assert len(rows) == 8
+    assert [row.difference for row in rows] == [0.0] * 8
+    assert any("by formed area" in note for note in found.notes)
+
+
 def test_statistics_are_weighted_by_area():
     # a coarse and a fine half: the plain mean over the nodes would lean to the fine one
     X = np.array([[0.0, 0], [10, 0], [10, 10], [0, 10], [11, 0], [11, 10]])
@@ -739,3 +752,19 @@ def test_points_beyond_a_sheet_are_not_compared():
     gamma = mapped(sheet, points, "flat")
     np.testing.assert_allclose(gamma[:2], [20.0, 28.0], atol=1e-9)
     assert np.isnan(gamma[2])
+
+
+def test_cells_that_are_not_used_are_the_remedy_not_the_place(result, tmp_path):
+    """A third of the reference is solid: no other place (--align) would bring it back."""
+    mesh = mesh_of(31, cells=True, displaced=False)
+    triangles, gamma = mesh.cells[0].data, mesh.cell_data["shear_angle"][0]
+    kept = mesh.points[triangles].mean(1)[:, 0] < 30
+    wedges = np.hstack([triangles[~kept], triangles[~kept]])
+    cells = [("triangle", triangles[kept]), ("wedge", wedges)]
+    data = {"shear_angle": [gamma[kept], gamma[~kept]]}
+    meshio.Mesh(mesh.points, cells, cell_data=data).write(tmp_path / "solid.vtu")
+    notes = compare(result, tmp_path / "solid.vtu", by="formed").notes
+    many = f"{(~kept).sum()} wedge"
+    assert any("of its file" in note and many in note for note in notes if "warning" in note)
+    assert not any("--align" in note for note in notes)
+    assert any(note.startswith(f"left out of the file: {many}") for note in notes)

@@ -14,13 +14,13 @@ import pytest
 
 import quasiform as qf
 from quasiform.checks import InputError
-from quasiform.comparison.shells import read_shells
 from quasiform.console.cli import main
 from quasiform.fabric import TabulatedLaw
 from quasiform.handover import FORMATS, abaqus_deck, carry, export, flat_pattern, read_formed
 from quasiform.handover.handover import FILES
 from quasiform.handover.inp import moduli
 from quasiform.handover.tool_surface import from_scene_file, sampled
+from quasiform.meshes.shells import read_shells
 from quasiform.result.files import FILES as RESULT_FILES
 from quasiform.scenes.scene_file import FOLDER, load
 from quasiform.tools.shapes import ball, round_opening, turned
@@ -313,6 +313,60 @@ def test_abaqus_reads_back(tmp_path, to):
     # the mass per area, with the density, is the areal weight
     density = float(named(found, "DENSITY")[0][1][0][0]) * times
     np.testing.assert_allclose(density * fibres.thickness * 1e12, fibres.areal_weight, rtol=1e-5)
+
+
+def lopsided(X):
+    """Form without a symmetry."""
+    x, y = X.T * [[1.3], [0.9]]
+    return np.column_stack([x, y, 12.0 * np.exp(-((x - 20) ** 2 + (y + 10) ** 2) / 30**2)])
+
+
+@pytest.mark.parametrize("align", ["none", "rigid"])
+def test_a_mesh_elsewhere_gets_the_fibres_of_the_part(tmp_path, align):
+    """A mesh turned and moved away, placed back: its fibres are the part's, turned with it."""
+    from scipy.spatial.transform import Rotation
+
+    X, _, quads = mesh_of(8)
+    there = write_result(tmp_path / "r", lopsided)
+    turn, origin = Rotation.from_euler("xyz", [0, 0, 20], degrees=True), np.array([500.0, 10, 3])
+    meshio.Mesh(lopsided(X), [("quad", quads)]).write(tmp_path / "here.vtu")
+    away = turn.inv().apply(lopsided(X)) + origin
+    meshio.Mesh(away, [("quad", quads)]).write(tmp_path / "away.vtu")
+    place = {"origin": origin, "rotate": (0, 0, 20)} if align == "none" else {"align": align}
+    here = export(there, "csv", tmp_path / "a", mesh=tmp_path / "here.vtu").fibres
+    moved = export(there, "csv", tmp_path / "b", mesh=tmp_path / "away.vtu", **place).fibres
+    np.testing.assert_allclose(moved.target.points, away)
+    off = 1e-9 if align == "none" else 0.02
+    np.testing.assert_allclose(turn.apply(moved.warp), here.warp, atol=off)
+    np.testing.assert_allclose(moved.area_ratio, here.area_ratio, atol=off)
+
+
+@pytest.mark.parametrize(
+    ("to", "types"),
+    [("abaqus", {6: "STRI65", 8: "S8R"}), ("calculix", {6: "S6", 8: "S8"})],
+)
+def test_elements_of_second_order_stay_so(tmp_path, to, types):
+    X, triangles, quads = mesh_of(4, 30.0)
+    x, lines = dome(X), ["*NODE"]
+    cells = [("S8", quads[0]), ("S6", triangles[5]), ("S8", quads[3])]
+    nodes, rows = list(x), []
+    for kind, ring in cells:
+        first = len(nodes)
+        nodes += [*(0.5 * (x[ring] + x[np.roll(ring, -1)]))]
+        rows.append((kind, [*ring, *range(first, len(nodes))]))
+    lines += [f"{i + 1}, {p[0]}, {p[1]}, {p[2]}" for i, p in enumerate(nodes)]
+    for label, (kind, ring) in enumerate(rows, 41):
+        lines += [f"*ELEMENT, TYPE={kind}", ", ".join(str(k) for k in [label, *(np.add(ring, 1))])]
+    (tmp_path / "mine.inp").write_text("\n".join(lines))
+    there = write_result(tmp_path / "r", dome)
+    handed = export(there, to, tmp_path / "out", mesh=tmp_path / "mine.inp")
+    assert handed.fibres.target.elements.tolist() == [41, 42, 43]
+    found = blocks(tmp_path / "out" / "part.inp")
+    written = {g["TYPE"]: numbers(data).astype(int) for g, data in named(found, "ELEMENT")}
+    assert set(written) == set(types.values())
+    labelled = [[k, *np.add(ring, 1)] for k, (_, ring) in enumerate(rows, 41)]
+    assert written[types[8]].tolist() == labelled[::2]
+    assert written[types[6]].tolist() == labelled[1:2]
 
 
 def test_labels_of_the_users_mesh_are_kept(tmp_path):

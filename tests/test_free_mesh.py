@@ -141,7 +141,7 @@ def test_quadrilaterals_are_pairs_and_an_aligned_mesh_needs_none(tmp_path):
     [
         ([[0, 0, 0], [1, 0, 0]], [("line", [[0, 1]])], "no triangles or quadrilaterals"),
         ([[0, 0, 0], [1, 0, 0], [0, 1, 0.5]], [("triangle", [[0, 1, 2]])], "not flat"),
-        ([[0, 0, 0], [1, 0, 0], [2, 0, 0]], [("triangle", [[0, 1, 2]])], "without area at"),
+        ([[0, 0, 0], [1, 0, 0], [2, 0, 0]], [("triangle", [[0, 1, 2]])], "element 1 has no area"),
     ],
 )
 def test_defects_of_a_mesh_are_named(tmp_path, points, cells, message):

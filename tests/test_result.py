@@ -83,7 +83,7 @@ def test_what_a_file_holds_besides_the_sheet_is_counted(tmp_path):
     (sheet,) = read_sheets(tmp_path / "part.vtu")
     assert sheet.triangles.tolist() == HALVES.tolist()
     assert sheet.cell_fields["t"].tolist() == [3.0, 3.0]
-    assert sheet.left_out == {"line": 1, "hexahedron": 1, "nodes without a triangle": 5}
+    assert sheet.left_out == {"line": 1, "hexahedron": 1, "nodes without an element": 5}
 
 
 @pytest.mark.parametrize(

@@ -459,8 +459,8 @@ def test_placement_of_the_how_to(tmp_path):
         ("junk.msh", 'SystemCall "touch x";', "junk.msh: not a readable .msh file"),
         ("cut.stl", b"\0" * 80 + b"\2\0\0\0" + b"\xdf" * 60, "cut off, 1 triangles of the 2 that"),
         ("cut.stl", "solid\n facet normal 0 0 1\n  outer loop\n   vertex", "cut off, without ends"),
-        ("tool.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n", "a triangle refers to a vertex"),
-        ("tool.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 0\n", "a triangle refers to a vertex"),
+        ("tool.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n", "an element refers to a node"),
+        ("tool.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 0\n", "an element refers to a node"),
         ("tool.obj", "v 0 0\n", "tool.obj: not a readable .obj file: not enough values"),
         ("tool.stl", "solid\nfacet\nvertex 0 0,0 1\nendsolid", "not a readable .stl file: string"),
     ],
@@ -636,8 +636,9 @@ def test_the_model_warns_of_a_punch_that_looks_wrong(tmp_path, punch, expected):
 
 
 @pytest.mark.parametrize("x", [-101, 101])
-def test_a_punch_just_beside_the_sheet_is_taken(tmp_path, x):
-    assert f"its middle at ({x}, 0)" in described(tmp_path, f"spacing = 4.0\nplace = [{x}, 0]")
+def test_a_punch_just_beside_the_sheet_never_meets_it(tmp_path, x):
+    with pytest.raises(InputError, match=rf"the punch never meets .* its middle is at \({x}, 0\)"):
+        described(tmp_path, f"spacing = 4.0\nplace = [{x}, 0]")
 
 
 def test_the_suggested_turn_puts_an_upside_down_punch_right(tmp_path):

@@ -12,10 +12,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..checks import FORMAT, InputError, check_keys, check_number
+from ..meshes.shells import counted
 from ..result.files import replaced
 from ..result.sheet import FormedSheet
 from ..result.summary import package_version
-from .differences import COLUMNS, Row, Rows, common_forces, matched, other_blank, own_values
+from .differences import (
+    COLUMNS,
+    Row,
+    Rows,
+    common_forces,
+    matched,
+    other_blank,
+    own_values,
+    weighed_alike,
+)
 from .mapping import ANGLE, SIDES, WAYS
 from .place import aligned, unfolded
 from .read import Reading, Side, read_side
@@ -219,11 +229,12 @@ def compare(
     ends = [side.end for side in (mine, other) if side.end is not None]
     goal = min(ends, default=None) if travel is None else travel
     sheet, theirs, notes = _in_place((mine, other), goal, mirror, align, how.signed)
+    sheet, theirs = weighed_alike(sheet, theirs)
     warnings, rows = other_blank(sheet, theirs), Rows(standing, notes)
     field = gamma = None
     if ANGLE in sheet.point_fields and ANGLE in theirs.point_fields:
         field, gamma, share = matched(sheet, theirs, by, within, notes)
-        warnings += _off_sheet(share, field is sheet, align)
+        warnings += _off_sheet(share, field is sheet, align, theirs.left_out)
         whole = share > 1 - 1e-9 and not warnings
         own, what = own_values((sheet, theirs), field, gamma, whole, notes)
         rows.angles(own, field, gamma, "γ" if how.signed else "|γ|", band_angle)
@@ -270,7 +281,7 @@ def _in_place(
     return sheet, theirs, notes
 
 
-def _off_sheet(share: float, of_result: bool, align: str) -> list[str]:
+def _off_sheet(share: float, of_result: bool, align: str, left_out: Mapping[str, int]) -> list[str]:
     """Warn where little of the two sheets is compared."""
     tried = {"none": "shift", "shift": "rigid"}.get(align)
     remedy = f'try --align {tried} (align="{tried}"), or check' if tried else "check"
@@ -279,4 +290,6 @@ def _off_sheet(share: float, of_result: bool, align: str) -> list[str]:
         f"{100 * (1 - share):.0f} % of {of[not of_result]} and left out: {remedy} its place, its"
     )
     words = f"{words} unit (--scale) and how far points may be off (--within)"
+    if left_out and of_result:  # the reference has a hole there, another place does not help
+        words = f"{words.split(':')[0]}: of its file {counted(left_out)} were not used"
     return [words] if share < ON_SHEET else []

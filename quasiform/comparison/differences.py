@@ -205,6 +205,22 @@ def matched(
     return field, np.where(compared, gamma, np.nan), share
 
 
+def weighed_alike(sheet: FormedSheet, theirs: FormedSheet) -> tuple[FormedSheet, FormedSheet]:
+    """Let means of both go by the formed area where only one of them has a flat one."""
+    both = sheet, theirs
+    meshes = all(len(one.triangles) and one.points is not None for one in both)
+    if not meshes or (sheet.flat is None) == (theirs.flat is None):
+        return both
+    found = []
+    for one in both:
+        one = replace(one, by_formed_area=True)
+        if ANGLE in one.cell_fields and ANGLE in one.point_fields:
+            points = {**one.point_fields, ANGLE: one.at_nodes(np.ravel(one.cell_fields[ANGLE]))}
+            one = replace(one, point_fields=points)
+        found.append(one)
+    return found[0], found[1]
+
+
 def own_values(
     sheets: tuple[FormedSheet, FormedSheet],
     field: FormedSheet,
@@ -214,18 +230,17 @@ def own_values(
 ) -> tuple[Own, str]:
     """Shear angles of both, and of what: their triangles if these are known and all compared."""
     whole = whole and all(ANGLE in sheet.cell_fields for sheet in sheets)
-    source = (
-        "of each sheet's own triangles, as in summary.json (there of |γ| at the end)"
-        if whole
-        else "at the points compared alone: not those of summary.json"
-    )
+    formed = ", by formed area: the flat one is known of one sheet only; not those of summary.json"
+    flat = ", as in summary.json (there of |γ| at the end)"
+    own = "of each sheet's own triangles" + (formed if sheets[0].by_formed_area else flat)
+    source = own if whole else "at the points compared alone: not those of summary.json"
     notes.append(
         "differences at points, where a sheet of triangles has the mean of those around; "
         f"means, percentile, maxima and areas {source}"
     )
     if whole:
         flat = [None if s.flat is None else s.flat[s.triangles].mean(1) for s in sheets]
-        fields = [(sheet.cell_fields[ANGLE], sheet.flat_areas) for sheet in sheets]
+        fields = [(sheet.cell_fields[ANGLE], sheet.weighing_areas) for sheet in sheets]
         return [(*f, X) for f, X in zip(fields, flat, strict=True)], "triangle"
     compared = np.isfinite(gamma[0])
     X = None if field.flat is None else field.flat[compared]

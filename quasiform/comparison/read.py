@@ -24,12 +24,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..checks import InputError, check_number, suggestion
+from ..meshes.inp_file import read_inp
+from ..meshes.shells import Shells, counted
 from ..net.blank import rotation
 from ..result.record import Record, Sheets, series, sheet_files
 from ..result.sheet import KINDS, FormedSheet, read_sheets, readable
 from ..tables import name_of, read_table
 from .mapping import ANGLE
-from .shells import read_inp
 
 if TYPE_CHECKING:
     from ..result.run import Result
@@ -233,6 +234,7 @@ def _understood(
     """Sheet with its places and its shear angle, and how these were found."""
     chosen = None if reading.field == NO_FIELD else _field(sheet, reading, where)
     sheet, notes = _placed(sheet, reading, where)
+    notes += [f"left out of the file: {counted(sheet.left_out)}"] * bool(sheet.left_out)
     by_point, whole, values = {}, {}, None
     if chosen is not None:
         kind, name = chosen
@@ -307,7 +309,7 @@ def _field(sheet: FormedSheet, reading: Reading, where: object) -> tuple[str, st
 
 def _of_inp(path: Path, reading: Reading) -> FormedSheet:
     """Sheet of an .inp file, with the values by label of a CSV."""
-    shells = readable(path, lambda: read_inp(path))
+    shells = readable(path, lambda: Shells(**read_inp(path)))
     triangles, rows = shells.split()
     fields: dict[str, dict[str, FloatArray]] = {"node": {}, "element": {}}
     if reading.values is not None:
@@ -325,7 +327,7 @@ def _of_inp(path: Path, reading: Reading) -> FormedSheet:
         for name, column in table.items():
             known = (labels[at] == asked).reshape(-1, *[1] * (column.ndim - 1))
             fields[key][name] = np.where(known, column[first[at]], np.nan)
-    made = (shells.points, triangles, fields["node"], fields["element"])
+    made = (shells.points, triangles, fields["node"], fields["element"], shells.left_out)
     return readable(path, lambda: FormedSheet.of_surface(*made))
 
 

@@ -166,11 +166,18 @@ def _pictures(text: str) -> tuple[str, ...]:
     return tuple(_known("picture", name.strip(), PICTURES) for name in text.split(","))
 
 
-def _direction(text: str) -> tuple[float, float, float]:
+def _three(text: str) -> tuple[float, float, float]:
     with suppress(ValueError):
         x, y, z = (float(number) for number in text.split(","))
-        if any((x, y, z)) and isfinite(x + y + z):
+        if isfinite(x + y + z):
             return x, y, z
+    raise ValueError(f"expected three numbers X,Y,Z, got '{text}'")
+
+
+def _direction(text: str) -> tuple[float, float, float]:
+    with suppress(ValueError):
+        if any(found := _three(text)):
+            return found
     raise ValueError(f"expected X,Y,Z of a direction, got '{text}'")
 
 
@@ -458,6 +465,19 @@ def export(
     deck: Annotated[bool, about("Abaqus/Explicit deck of a scene.", group=PRODUCT)] = False,
     mesh: Annotated[File | None, about("--to: structural mesh (the formed sheet's).")] = None,
     scale: Annotated[Factor, about("Unit of length of the mesh or line in mm.")] = 1.0,
+    origin: Annotated[
+        tuple[float, float, float],
+        word(_three, "X,Y,Z"),
+        about("Point of the mesh, mm, that lies at the origin of the part."),
+    ] = (0.0, 0.0, 0.0),
+    rotate: Annotated[
+        tuple[float, float, float],
+        word(_three, "X,Y,Z"),
+        about("Turn of the mesh about x, y and z to the part, degrees."),
+    ] = (0.0, 0.0, 0.0),
+    align: Annotated[
+        Literal["none", "shift", "rigid"], about("Move the mesh to where it fits the part best.")
+    ] = "none",
     within: Annotated[
         Length | None, about("Farther is off the sheet (spacing of a mesh; thickness for a line).")
     ] = None,
@@ -492,6 +512,7 @@ def export(
     else:
         folder = output.folder(f"{path.resolve().name}-{to}", handover.FILES)
         how = {"mesh": mesh, "scale": scale, "within": within, "axis": axis}
+        how |= {"origin": origin, "rotate": rotate, "align": align}
         handed = qf.export(path, to, folder, **how, reference=reference, force=force)
         terminal.say(f"writing to {folder}")
         terminal.say(*terminal.notes(handed.notices, handed.general, handover.NOTES))

@@ -19,7 +19,7 @@ import numpy as np
 
 from ..checks import InputError, check_number
 from ..comparison.mapping import on_surface, spacing
-from ..comparison.shells import Shells
+from ..meshes.shells import Shells
 from ..result.record import Record
 from .keywords import NOTICES
 

@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..checks import InputError, suggestion
-from ..comparison.shells import read_shells
+from ..comparison.comparison import ALIGN
+from ..meshes.shells import read_shells
 from ..result.files import replaced
 from ..result.summary import package_version
 from . import drape, inp, table
 from .fibres import Fibres, carry, read_formed
 from .keywords import NOTICES, write_notices
+from .placed import carry_placed, three
 
 if TYPE_CHECKING:
     from ..result.record import Record
@@ -66,6 +68,9 @@ def export(
     *,
     mesh: str | Path | None = None,
     scale: float = 1.0,
+    origin: Sequence[float] = (0.0, 0.0, 0.0),
+    rotate: Sequence[float] = (0.0, 0.0, 0.0),
+    align: str = "none",
     within: float | None = None,
     axis: str = "warp",
     reference: Sequence[float] = (1.0, 0.0, 0.0),
@@ -86,6 +91,12 @@ def export(
         itself if not given.
     scale : float
         mm per unit of that mesh.
+    origin, rotate : (3,) floats
+        Where that mesh lies: its point p is at R (scale p - origin) on the formed part, with the
+        origin in mm and R by angles in degrees about x, y, z, as for a tool. What is written is in
+        the mesh's own place.
+    align : "none", "shift" or "rigid"
+        Whether it is then shifted, or shifted and turned about z, to fit the formed part best.
     within : float, optional
         mm; elements farther than this from the sheet get no fibres. The spacing of the formed mesh
         if not given.
@@ -115,7 +126,13 @@ def export(
         raise InputError(f"reference must be a direction of three numbers, got {reference!r}")
     direction /= np.linalg.norm(direction)
     record = read_formed(source)
-    fibres = carry(record, None if mesh is None else read_shells(mesh, scale), within)
+    if align not in ALIGN:
+        raise InputError(f"align must be one of {', '.join(ALIGN)}, got {align!r}")
+    if mesh is None:
+        fibres = carry(record, None, within)
+    else:
+        place = (three("origin", origin), three("rotate", rotate), align)
+        fibres = carry_placed(record, read_shells(mesh, scale), place, within)
     writers: dict[str, Callable[[Path], tuple[str, ...]]] = {
         "abaqus": lambda folder: inp.abaqus(fibres, folder),
         "abaqus-pair": lambda folder: inp.abaqus(fibres, folder, pair=True),

@@ -26,7 +26,10 @@ from .fibres import AXES, Fibres
 from .keywords import NOTICES, fill
 
 FloatArray = np.ndarray
-Sets = dict[str, tuple[tuple[str, str], int]]  # names of triangles and quads, added to labels
+Sets = dict[str, tuple[dict[int, str], int]]  # type by number of nodes, and what is added to labels
+SHELLS = {3: "S3", 4: "S4R", 6: "STRI65", 8: "S8R", 9: "S9R5"}
+MEMBRANES = {3: "M3D3", 4: "M3D4R", 6: "M3D6", 8: "M3D8R", 9: "M3D9R"}
+CALCULIX = {3: "S3", 4: "S4", 6: "S6", 8: "S8"}
 DENSITY = 1e-12  # t/mm³ of g/m² over mm: N, mm, s go with tonnes
 FILES = ("mesh.inp", "fibres.inp", "part.inp")
 
@@ -35,9 +38,9 @@ def abaqus(fibres: Fibres, folder: Path, pair: bool = False) -> tuple[str, ...]:
     """Write the files for Abaqus; with `pair`, membranes and shells on the same nodes; notices."""
     known = fibres.known
     offset = 10 ** len(str(fibres.target.elements.max()))
-    sets = {"FORMED": (("S3", "S4R"), 0)}
+    sets: Sets = {"FORMED": (SHELLS, 0)}
     if pair:
-        sets["FORMED_MEMBRANE"] = ("M3D3", "M3D4R"), offset
+        sets["FORMED_MEMBRANE"] = MEMBRANES, offset
     labels = [fibres.target.elements[known] + more for _, more in sets.values()]
     warp, weft, shear = moduli(fibres)
     _fill(
@@ -59,7 +62,7 @@ def calculix(fibres: Fibres, folder: Path, axis: str = "warp") -> tuple[str, ...
     warp, weft, shear = moduli(fibres)
     E = {"warp": (warp, weft), "weft": (weft, warp), "bisector": (0.5 * (warp + weft),) * 2}[axis]
     _fill(
-        *("calculix", fibres, folder, {"FORMED": (("S3", "S4"), 0)}),
+        *("calculix", fibres, folder, {"FORMED": (CALCULIX, 0)}),
         labels=fibres.target.elements[fibres.known],
         thickness=fibres.target.at_nodes(fibres.thickness),
         frame=_frame(fibres, axis),
@@ -73,14 +76,14 @@ def calculix(fibres: Fibres, folder: Path, axis: str = "warp") -> tuple[str, ...
 def _fill(code: str, fibres: Fibres, folder: Path, sets: Sets, **values: Any) -> None:
     """Write mesh.inp with the known elements, once a set; fibres.inp and part.inp of a code."""
     target, fabric = fibres.target, fibres.fabric
-    used = np.unique(target.corners[fibres.known])
-    used = used[used >= 0]
-    blocks = []
+    blocks, used = [], []
     for name, (kinds, offset) in sets.items():
-        for kind, corners in zip(kinds, (3, 4), strict=True):
-            chosen = fibres.known & (target.triangular == (corners == 3))
-            nodes = target.nodes[target.corners[chosen, :corners]]
-            blocks.append((name, kind, target.elements[chosen] + offset, nodes))
+        for nodes, kind in kinds.items():
+            chosen = fibres.known & (target.kept_nodes(kinds) == nodes)
+            rows = target.rows_of(chosen, nodes)
+            used.append(rows.ravel())
+            blocks.append((name, kind, target.elements[chosen] + offset, target.nodes[rows]))
+    used = np.unique(np.concatenate(used))
     header = [
         f"Formed part of {fibres.name}, fabric {fabric.get('name', '')}; N, mm, s, t, MPa.",
         f"Flat: thickness {fabric['thickness']:g} mm, {fabric['areal_weight']:g} g/m².",

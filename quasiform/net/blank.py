@@ -61,6 +61,8 @@ class Blank:
     pairs : (n_pairs, 2) int array, optional
         Triangles of a mesh that does not follow the fibres, in pairs that share a mean fibre
         strain (a triangle without a partner is paired with itself).
+    notes : tuple of str
+        What was done to the mesh when it was read.
     """
 
     nodes: FloatArray
@@ -69,6 +71,7 @@ class Blank:
     weft: FloatArray
     mirror: tuple[str, ...] = ()
     pairs: IntArray | None = None
+    notes: tuple[str, ...] = ()
 
     @cached_property
     def size(self) -> float:

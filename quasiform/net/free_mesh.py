@@ -6,16 +6,18 @@ quadrilaterals of the mesh, and for triangles the pairing with the best quadrila
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.sparse import csc_array
 
-from ..checks import InputError, check_file, check_number, naming, optional
-from ..tools.mending import check_numbers, position
-from ..tools.surface_file import read_mesh
+from ..checks import InputError, check_number, naming, optional
+from ..meshes.shells import counted, read_shells
+from ..tools.mending import MERGED, check_numbers, together
 from .blank import MOST_TRIANGLES, Blank, check_unit, rotation
+from .sound import check_elements, check_one_piece
 
 if TYPE_CHECKING:
     import shapely
@@ -77,33 +79,35 @@ def check_same_size(size: float, built: float | None) -> None:
 
 
 def own_mesh(path: str | Path, orientation: float = 0.0, scale: float = 1.0) -> Blank:
-    """Read the user's own flat mesh of triangles and quadrilaterals (any format of meshio).
+    """Read the user's own flat mesh of triangles and quadrilaterals (.inp, or what meshio reads).
 
-    The orientation is the angle of the warp to x, degrees; the scale is mm per unit of the file. A
-    file without such elements, not flat, or with one of no area raises InputError.
+    The orientation is the angle of the warp to x, degrees; the scale is mm per unit of the file.
+    Nodes at one place are merged. InputError names the element of a mesh that is not flat, is in
+    pieces, overlaps itself, or has a node on the side of an element.
     """
     path = Path(path)
     with naming(path):
-        check_number("scale", scale)
-        check_file(path)
-        mesh = read_mesh(path)
-        triangles, quads = (
-            np.asarray(mesh.cells_dict.get(kind, np.zeros((0, corners), dtype=int)))
-            for kind, corners in (("triangle", 3), ("quad", 4))
-        )
-        if not len(triangles) + len(quads):
-            raise InputError("no triangles or quadrilaterals")
-        cells = np.r_[triangles.ravel(), quads.ravel()]
-        check_numbers(mesh.points, cells)
-        points = scale * mesh.points
+        shells = read_shells(path, scale)
+        check_numbers(shells.points, shells.corners[:, :3])
+        if polygons := [kind for kind in shells.left_out if kind.startswith("polygons")]:
+            raise InputError(f"{shells.left_out[polygons[0]]} {polygons[0]}: split them")
+        higher, left_out = (shells.middles >= 0).any(1).sum(), shells.left_out
+        shells = replace(shells, middles=shells.middles[:, :0]).with_used_nodes()
+        points = shells.points
         if np.ptp(points[:, 2]) > 1e-6 * np.ptp(points):
             raise InputError(f"the mesh is not flat: its z spans {np.ptp(points[:, 2]):.3g} mm")
-        used, number = np.unique(cells, return_inverse=True)
-        n = triangles.size
-        elements = number[:n].reshape(-1, 3), number[n:].reshape(-1, 4)
-        blank = _blank(points[used, :2], *elements, orientation)
-        check_unit(np.ptp(blank.nodes, axis=0).max(), scale)
-        return blank
+        check_unit(np.ptp(points, axis=0).max(), scale)
+        nodes, same, _ = together(points[:, :2], MERGED * np.linalg.norm(np.ptp(points, axis=0)))
+        corners = np.where(shells.corners < 0, -1, same[shells.corners])
+        check_elements(nodes, corners, shells.elements)
+        triangles, quads = (corners[shells.count == n, :n] for n in (3, 4))
+        blank = _blank(nodes, triangles, quads, orientation)
+        check_one_piece(blank)
+        one = len(points) - len(nodes)
+        notes = [f"{one} nodes merged with another at their place"] * bool(one)
+        notes += [f"of {higher} elements of second order the corners are taken"] * bool(higher)
+        notes += [f"left out: {counted(left_out)}"] * bool(left_out)
+        return replace(blank, notes=tuple(notes))
 
 
 def outline_of(blank: Blank) -> shapely.Polygon:
@@ -131,10 +135,6 @@ def _blank(nodes: FloatArray, triangles: IntArray, quads: IntArray, orientation:
     triangles = np.vstack([triangles, halves])
     u, v = (nodes[triangles[:, k]] - nodes[triangles[:, 0]] for k in (1, 2))
     twice = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
-    flat = np.abs(twice) <= 1e-6 * (u**2 + v**2).sum(1)
-    if flat.any():
-        at = position(nodes[triangles[flat.argmax()]].mean(0))
-        raise InputError(f"an element without area at {at} mm")
     triangles[twice < 0] = triangles[twice < 0][:, ::-1]
     R = rotation(orientation)
     blank = Blank(nodes, triangles, R[:, 0], R[:, 1])

@@ -8,22 +8,26 @@ from __future__ import annotations
 
 import logging
 import re
+from collections import Counter
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import shapely
 
-from ..checks import InputError, check_file, check_number, naming, optional
+from ..checks import InputError, check_file, check_number, naming, optional, suggestion
+from ..meshes.shells import counted
 from ..tables import read_numbers
 from ..tools.mending import edges_of, position, together
-from ..tools.surface_file import KINDS, read_surface
+from ..tools.surface_file import KINDS, read_with_notes
 from .blank import check_unit
 
 FloatArray = np.ndarray
 CHORD = 0.01  # mm, largest distance of a polygon from the curve it stands for
 GAP = 0.05  # mm, ends of lines nearer than this meet
 CURVES = ("LINE", "LWPOLYLINE", "POLYLINE", "ARC", "CIRCLE", "ELLIPSE", "SPLINE")
+NOT_DRAWN = ("DIMENSION", "LEADER", "MULTILEADER", "MLEADER", "ARC_DIMENSION", "ACAD_TABLE")
 TABLES = (".csv", ".txt", ".xy", ".dat")
 
 
@@ -69,17 +73,33 @@ def with_holes(outline: shapely.Polygon, holes: Iterable[shapely.Polygon]) -> sh
     return outline
 
 
-def read_outline(path: str | Path, scale: float = 1.0) -> shapely.Polygon:
+@dataclass(frozen=True)
+class Drawing:
+    """An outline as it was read."""
+
+    polygon: shapely.Polygon  # mm
+    notes: tuple[str, ...] = ()  # what was used, and what was left out
+    unit: tuple[str, float] = ("", 1.0)  # of a .dxf file by its header, and mm per unit
+
+
+def read_outline(path: str | Path, scale: float = 1.0, layer: str | None = None) -> shapely.Polygon:
+    """Outline of `read_drawing`."""
+    return read_drawing(path, scale, layer).polygon
+
+
+def read_drawing(path: str | Path, scale: float = 1.0, layer: str | None = None) -> Drawing:
     """Read the outline of a blank from a file.
 
     .dxf                          lines, polylines and curves of the model space, also in blocks;
-                                  ends nearer than 0.05 mm meet, open lines inside are ignored
+                                  ends nearer than 0.05 mm meet; open lines inside, texts,
+                                  dimensions and layers that are off or frozen are left out
     .msh .vtu .vtk .stl .obj .ply .step .iges .brep       the rim of a flat surface
     .csv .txt .xy .dat            a corner x, y a line, with or without a heading
 
     The scale is mm per unit of the file; where that names its unit ($INSUNITS of a .dxf, the units
-    of a .step), a factor beside it. The polygon is counter-clockwise. InputError names the file and
-    its defect: not readable, no closed loop, edges that cross, ...
+    of a .step), a factor beside it; the layer is the only one of a .dxf that is read. The polygon
+    is counter-clockwise. InputError names the file and its defect: not readable, no closed loop,
+    edges that cross, ...
     """
     path = Path(path)
     kind = path.suffix.lower()
@@ -89,49 +109,85 @@ def read_outline(path: str | Path, scale: float = 1.0) -> shapely.Polygon:
             expected = f"expected one of {', '.join(known)}"
             raise InputError(f"unknown kind of outline '{kind}': {expected}")
         check_file(path)
+        if layer is not None and kind != ".dxf":
+            raise InputError(f"layer = {layer!r}: only a .dxf file has layers")
+        notes, unit = [], ("", 1.0)
         if kind == ".dxf":
-            outline = _from_lines(_drawn(path, scale), GAP)
+            lines, notes, unit = _drawn(path, scale, layer)
+            outline, ignored = _from_lines(lines, GAP)
+            notes += [f"{ignored} lines inside that are open or drawn twice left out"] * (
+                ignored > 0
+            )
         elif kind in TABLES:
             points = read_numbers(path, most=2)[2]
             if not np.isfinite(points).all():
                 raise InputError("not all coordinates are finite numbers")
             outline = _loop(scale * points)
         else:
-            vertices, triangles = read_surface(path, scale)
+            vertices, triangles, notes = read_with_notes(path, scale)
             height = np.ptp(vertices[:, 2])
             if height > 1e-3 * np.ptp(vertices, axis=0).max():
                 raise InputError(f"the surface is not flat: its z spans {height:.3g} mm")
             edges, count, _ = edges_of(triangles)
-            outline = _from_lines(list(vertices[np.sort(edges[count == 1], axis=1), :2]), 0.0)
+            rim = list(vertices[np.sort(edges[count == 1], axis=1), :2])
+            outline, _ = _from_lines(rim, 0.0)
         check_unit(np.ptp(np.reshape(outline.bounds, (2, 2)), axis=0).max(), scale)
-    return outline
+    return Drawing(outline, tuple(notes), unit)
 
 
-def _drawn(path: Path, scale: float) -> list[FloatArray]:
-    """Lines (n, 2), mm, of the model space of a drawing."""
+def _drawn(
+    path: Path, scale: float, layer: str | None
+) -> tuple[list[FloatArray], list[str], tuple[str, float]]:
+    """Lines (n, 2), mm, of the model space of a drawing; notes; the unit of its header."""
     ezdxf, paths, blocks, units = (
         optional(f"ezdxf{part}", "cad", "a .dxf file needs ezdxf")
         for part in ("", ".path", ".disassemble", ".units")
     )
     logging.getLogger("ezdxf").addHandler(logging.NullHandler())  # else it prints warnings
+    lines, seen, used, left_out = [], set[str](), Counter(), Counter()
     try:
         drawing = ezdxf.readfile(path)
         unit = drawing.header.get("$INSUNITS", 0)
-        scale *= units.conversion_factor(unit, units.MM) if unit else 1.0
-        lines = []
-        for entity in blocks.recursive_decompose(drawing.modelspace()):
-            if entity.dxftype() in CURVES:
-                curve = paths.make_path(entity)
-                points = np.array([p.vec2 for p in curve.flattening(CHORD / scale)], dtype=float)
-                lines.append(scale * points.reshape(-1, 2))
+        factor = units.conversion_factor(unit, units.MM) if unit else 1.0
+        scale *= factor
+        hidden = {
+            entry.dxf.name.casefold(): "off" if entry.is_off() else "frozen"
+            for entry in drawing.layers
+            if entry.is_off() or entry.is_frozen()
+        }
+        for top in drawing.modelspace():
+            inner = [top] if top.dxftype() in NOT_DRAWN else blocks.recursive_decompose([top])
+            for entity in inner:
+                kind, on = entity.dxftype(), entity.dxf.layer
+                on = top.dxf.layer if on == "0" else on  # of the block it is in
+                seen.add(on)
+                state = hidden.get(on.casefold()) or hidden.get(top.dxf.layer.casefold())
+                if state or (layer is not None and on.casefold() != layer.casefold()):
+                    left_out[f"{kind} on layer {on}" + f" ({state})" * bool(state)] += 1
+                elif kind not in CURVES:
+                    left_out[kind] += 1
+                else:
+                    used[on] += 1
+                    curve = paths.make_path(entity)
+                    points = [p.vec2 for p in curve.flattening(CHORD / scale)]
+                    lines.append(scale * np.array(points, dtype=float).reshape(-1, 2))
     except Exception as error:  # any that the parser raises
         reason = " ".join(str(error).replace(f"'{path}'", "it").split()) or type(error).__name__
         raise InputError(f"not a readable .dxf file: {reason}") from error
-    return lines
+    if layer is not None and not used:
+        raise InputError(f"no lines on layer '{layer}': {suggestion(layer, sorted(seen))}")
+    if not lines and left_out:
+        raise InputError(f"no lines found: the drawing holds {counted(left_out)}")
+    notes = ["drawn on " + ", ".join(f"layer {on} ({n} lines)" for on, n in used.items())]
+    notes += [f"left out: {counted(left_out)}"] * bool(left_out)
+    return lines, notes, (units.unit_name(unit).lower() if unit else "", factor)
 
 
-def _from_lines(lines: list[FloatArray], gap: float) -> shapely.Polygon:
-    """Join lines (n, 2) with ends nearer than `gap` (mm) into loops: an outline and its holes."""
+def _from_lines(lines: list[FloatArray], gap: float) -> tuple[shapely.Polygon, int]:
+    """Join lines (n, 2) with ends nearer than `gap` (mm) into loops: an outline and its holes.
+
+    Returns too how many lines are left out: open ones inside and loops drawn twice.
+    """
     lines = _joined(lines, gap)
     if not lines:
         raise InputError("no lines found")
@@ -146,18 +202,20 @@ def _from_lines(lines: list[FloatArray], gap: float) -> shapely.Polygon:
         raise InputError(_open_end(loose))
     outline, *others = loops
     holes: list[shapely.Polygon] = []
+    ignored = int((~closed).sum())
     for loop in others:
         apart = [loop.symmetric_difference(other).area for other in (outline, *holes)]
         if min(apart) < GAP * loop.length:
-            continue  # drawn twice
+            ignored += 1  # drawn twice
+            continue
         at = position(loop.centroid.coords[0])
         if not outline.contains_properly(loop):
             words = f"a second loop near {at} does not lie inside the largest"
-            raise InputError(f"more than one outline: {words}")
+            raise InputError(f"more than one outline: {words}; choose one with layer")
         if any(hole.intersects(loop) for hole in holes):
-            raise InputError(f"a loop lies inside or across another hole near {at}")
+            raise InputError(f"a loop lies inside or across another hole near {at}: choose a layer")
         holes.append(loop)
-    return shapely.orient_polygons(with_holes(outline, holes))
+    return shapely.orient_polygons(with_holes(outline, holes)), ignored
 
 
 def _joined(lines: list[FloatArray], gap: float) -> list[FloatArray]:

@@ -3,9 +3,9 @@
 With the flat legs dX of a triangle and its formed legs dx, F = dx dX⁻¹ (3, 2). The fibres become
 a = F warp and b = F weft, sin γ = a·b / (|a| |b|), and the area changes by |F e1 × F e2|.
 
-A file of another code is read as it stands: triangles and quadrilaterals, which are split; of cells
-of higher order the corners. Everything else (solid cells, lines, nodes without a triangle) is left
-out and counted in `left_out`.
+A file of another code is read as it stands: triangles, quadrilaterals and polygons, which are
+split; of cells of higher order the corners. Everything else (solid cells, lines, nodes without an
+element) is left out and counted in `left_out`.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..checks import InputError, check_file, naming
+from ..meshes.shells import Shells
 from ..net.blank import Blank
 
 if TYPE_CHECKING:
@@ -31,8 +32,6 @@ if TYPE_CHECKING:
 FloatArray = np.ndarray
 FLAT = 1e-3  # of its size: how far an undeformed sheet may leave its plane
 KINDS = (".vtu", ".vtk", ".xdmf", ".xmf")
-CORNERS = {"triangle": 3, "triangle6": 3, "triangle7": 3, "quad": 4, "quad8": 4, "quad9": 4}
-SPLIT = {3: [[0, 1, 2]], 4: [[0, 1, 2], [0, 2, 3]]}
 DOUBTS = (
     "beyond_identified_range",
     "bands_may_form",
@@ -63,9 +62,11 @@ class FormedSheet:
     loose : dict of name to float
         Single numbers of a file, such as energies.
     left_out : dict of kind to count
-        What a file holds besides the sheet: cells of another kind, nodes without a triangle.
+        What a file holds besides the sheet: cells of another kind, nodes without an element.
     contour : (k, 2) array or None
         Outline seen along z, where it is known without a mesh; closed, or a part of it.
+    by_formed_area : bool
+        Whether means go by the formed area although the flat one is known.
     """
 
     points: FloatArray | None = None
@@ -78,6 +79,7 @@ class FormedSheet:
     loose: Mapping[str, float] = field(default_factory=dict)
     left_out: Mapping[str, int] = field(default_factory=dict)
     contour: FloatArray | None = None
+    by_formed_area: bool = False
 
     def __repr__(self) -> str:
         at = "" if self.travel is None else f" at {self.travel:.4g} mm"
@@ -118,6 +120,11 @@ class FormedSheet:
     def flat_areas(self) -> FloatArray:
         """(m,) areas of the flat triangles, mm²; of the formed ones where these alone are known."""
         return _areas(self.rest, self.triangles)
+
+    @property
+    def weighing_areas(self) -> FloatArray:
+        """(m,) areas of the triangles by which means go, mm²."""
+        return self.areas if self.by_formed_area else self.flat_areas
 
     @cached_property
     def area_ratio(self) -> FloatArray:
@@ -180,7 +187,7 @@ class FormedSheet:
         """(n,) area that a point stands for, mm², of the flat sheet if known; 1 without a mesh."""
         if not len(self.triangles):
             return np.ones(len(self.places))
-        share = np.repeat(self.flat_areas / 3.0, 3)
+        share = np.repeat(self.weighing_areas / 3.0, 3)
         return np.bincount(self.triangles.ravel(), share, len(self.places))
 
     def at_nodes(self, values: FloatArray) -> FloatArray:
@@ -195,7 +202,7 @@ class FormedSheet:
         """
         known = np.isfinite(values)
         around, n = self.triangles[known].ravel(), len(self.places)
-        weight = np.repeat(self.flat_areas[known], 3)
+        weight = np.repeat(self.weighing_areas[known], 3)
         with np.errstate(invalid="ignore", divide="ignore"):
             total = np.bincount(around, weight * np.repeat(values[known], 3), n)
             return total / np.bincount(around, weight, n)
@@ -240,7 +247,7 @@ class FormedSheet:
             raise InputError("not all points are finite numbers")
         left_out = dict(left_out or {})
         if unused := len(points) - len(used):
-            left_out["nodes without a triangle"] = unused
+            left_out["nodes without an element"] = unused
         return cls(
             points[used],
             triangles.reshape(-1, 3),
@@ -320,16 +327,11 @@ def readable(path: Path, read: Callable[[], Any]) -> Any:
 
 def _from_meshio(mesh: meshio.Mesh, travel: float | None) -> FormedSheet:
     """Surface cells of a mesh, quadrilaterals split, with their fields."""
-    triangles, chosen, left_out = [np.empty((0, 3), dtype=int)], [], {}
-    for block in mesh.cells:
-        splits = SPLIT.get(CORNERS.get(block.type, 0), [])
-        triangles += [block.data[:, split] for split in splits]
-        chosen.append(np.tile(np.arange(len(block.data)), len(splits)).astype(int))
-        if not splits and len(block.data):
-            left_out[block.type] = left_out.get(block.type, 0) + len(block.data)
-    points = np.asarray(mesh.points, dtype=float)
+    shells = Shells.of_mesh(mesh)
+    triangles, rows = shells.split()
+    chosen = shells.elements[rows] - 1
     cell_fields = {
-        name: np.concatenate([np.asarray(v)[k] for v, k in zip(blocks, chosen, strict=True)])
+        name: np.concatenate([np.asarray(values) for values in blocks])[chosen]
         for name, blocks in mesh.cell_data.items()
     }
     loose = {
@@ -337,8 +339,9 @@ def _from_meshio(mesh: meshio.Mesh, travel: float | None) -> FormedSheet:
         for name, value in mesh.field_data.items()
         if np.issubdtype(np.asarray(value).dtype, np.number) and np.size(value)
     }
+    points = np.asarray(mesh.points, dtype=float)
     points = np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
-    surface = points, np.concatenate(triangles), mesh.point_data, cell_fields, left_out
+    surface = points, triangles, mesh.point_data, cell_fields, shells.left_out
     return FormedSheet.of_surface(*surface, travel=travel, loose=loose)
 
 

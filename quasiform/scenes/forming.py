@@ -35,6 +35,8 @@ from ..tools import tool_file
 from ..tools.shapes import Tool, turned
 from ..unknowns import Unknowns
 from . import scene_file
+from .blank_file import blank_from_file
+from .mechanics import check_mechanics
 from .room import check_clearance, mirror_planes
 from .scene_file import SceneFile, SurfaceFile, ToolPart
 from .supports import fix_supports, grips, keep_middle
@@ -125,6 +127,7 @@ def formed_between_tools(
     tools, from_files = like.tools if like else _tools(file, fabric, outline)
     for read in from_files.values():
         description += read.description(tools, outline, travel)
+    description += blank_from_file(file, own, outline, tools, from_files)
     if not like:
         check_clearance(tools, from_files, outline, fabric.thickness, travel)
     mirror, why = mirror_planes(file, tools, outline, orientation, travel, symmetry, fabric)
@@ -162,6 +165,8 @@ def formed_between_tools(
         coarsest=FINE * min((getattr(tool.shape, "sharpest", 0.0) for tool in tools), default=0.0),
     )
     _assemble(model, file, tools_in_frame, outline)
+    if not like:
+        check_mechanics(file, tools, from_files, outline, fabric.thickness, travel)
     _measure(model)
     return model
 

@@ -27,11 +27,12 @@ def check_clearance(
     z = np.linspace(-travel, 0.0, 30)
     grid = np.meshgrid(np.linspace(low_x, high_x, 60), np.linspace(low_y, high_y, 60), z)
     points = np.stack([c.ravel() for c in grid], axis=1)
+    near = max(3 * thickness, 0.01 * max(high_x - low_x, high_y - low_y))  # of the driven tool
     for driven in (tool for tool in tools if tool.motion == "driven"):
         for fixed in (tool for tool in tools if tool.motion != "driven"):
             d = driven.gap(points, -travel)
             gap = np.maximum(d + fixed.gap(points), 0.0)
-            gap[np.abs(d) > 3.0] = np.inf
+            gap[np.abs(d) > near] = np.inf
             at = gap.argmin()
             if gap[at] < thickness * (1 - 1e-9):
                 x, y, height = points[at]

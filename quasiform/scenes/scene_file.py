@@ -91,6 +91,7 @@ KEYS = {  # type and default of the keys of a shape; all others are lengths that
     "points": (checked(_points, type="array", items=_PAIR, description="Corners x, y, mm"), ...),
     "file": (path("Drawing, mesh or table of the outline"), ...),
     "scale": (number("Length of one unit of the file", "mm"), 1.0),
+    "layer": (Annotated[StrictStr, Field(description="Of a .dxf, the only one to read")], OPEN),
     "azimuth": (number("Direction of a corner, from x", "deg", signed=True), 0.0),
 }
 

@@ -19,7 +19,7 @@ REGION: dict[str, tuple[Callable[..., shapely.Polygon], tuple[str, ...]]] = {
     "rectangle": (outlines.rectangle, ("length", "width")),
     "disc": (outlines.disc, ("radius",)),
     "polygon": (outlines.polygon, ("points",)),
-    "file": (outlines.read_outline, ("file", "scale")),
+    "file": (outlines.read_outline, ("file", "scale", "layer")),
 }
 MOTIONS = {"punch": "driven", "die": "fixed", "holder": "free"}
 
@@ -42,10 +42,16 @@ class Region:
         return replace(outer, holes=tuple(holes))
 
     @cached_property
+    def drawing(self) -> outlines.Drawing:
+        """The area before it is moved, and what was read of a file."""
+        if self.shape == "file":
+            return outlines.read_drawing(*self.parameters)
+        return outlines.Drawing(REGION[self.shape][0](*self.parameters))
+
+    @cached_property
     def polygon(self) -> shapely.Polygon:
         """The area, mm; InputError if it has none, crosses itself, or a hole is not inside."""
-        build, _ = REGION[self.shape]
-        moved = shapely.affinity.translate(build(*self.parameters), *self.centre)
+        moved = shapely.affinity.translate(self.drawing.polygon, *self.centre)
         return outlines.with_holes(moved, [hole.polygon for hole in self.holes])
 
 

@@ -18,6 +18,7 @@ from .linear import NotConvergedError, SlidesOffError
 from .tangent import Tangent
 
 LEAST_FORCE = 1e-6  # N: what a driving force counts for where a tool has not touched yet
+ROUND_OFF = 5e-2  # of eps times stiffness, thickness and size: a node's force of round-off
 HOLDING = 0.1  # of the tolerance where friction holds a dead load
 LEFT_OVER = 2e-2  # residual that lagged values may leave to the next increment
 DRAWN = 3.0  # slide along a tool by the motion that drives it
@@ -49,6 +50,7 @@ class Equilibrium:
         self.tangent = Tangent(self.potential, places, self.linear, self.convex)
         self.mixed = [(i, name) for i, term in enumerate(model.terms) for name in term.mixed]
         self.mesh_size = min(sheet.blank.size for sheet in model.sheets)
+        self.least_force = max(LEAST_FORCE, round_off(model) / self.tolerance)
 
     @property
     def remembers(self) -> bool:
@@ -160,7 +162,7 @@ class Equilibrium:
         total = model.unknowns.norm(np.where(model.fixed, 0.0, g))
         if model.dead_load:
             return total / model.dead_load
-        floor = LEAST_FORCE if certified else 0.02 * model.resting + LEAST_FORCE
+        floor = self.least_force if certified else 0.02 * model.resting + self.least_force
         return total / max(abs(self.force(g if driven is None else driven)), floor)
 
     @property
@@ -197,3 +199,15 @@ class Equilibrium:
             return self.factor(x, False)[0]
         except NotConvergedError:  # a stopped run may have no tangent
             return None
+
+
+def round_off(model: Model) -> float:
+    """Sum of the forces of round-off in an unloaded sheet, N: below it there is no residual."""
+    total = 0.0
+    for sheet in model.sheets:
+        fabric, nodes = sheet.fabric, sheet.blank.nodes
+        stiff = max(
+            float(4 * law.stiffness(np.ones(1), 1.0)[0]) for law in (fabric.warp, fabric.weft)
+        )
+        total += len(nodes) * stiff * fabric.thickness * float(np.abs(nodes).max())
+    return ROUND_OFF * np.finfo(float).eps * total

@@ -25,6 +25,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from ..checks import InputError, check_number, naming, optional
 from .mending import check_numbers, edges_of, holes_of, normals_of, position
@@ -37,6 +39,7 @@ SPACING = 2.0  # mm
 AT_RIM = 1e-6  # of the surface's size: feet nearer to the rim lie on it
 UNITS = {"mm": 1.0, "inches": 25.4, "metres": 1e3, "centimetres": 10.0, "micrometres": 1e-3}
 REMEDY = "export it anew as one watertight body, or mend it in CAD, MeshLab or Blender"
+SMALL = 0.1  # of the blank: the unit of a smaller tool is doubted
 LOST = 0.4  # of a normal's length along n: walls and gaps thinner than a cell
 BAND = 8.0  # cells of each level next to the surface whose nodes get exact distances
 MARGIN = 5  # cells (and 10 mm) of grid around the tool
@@ -64,6 +67,7 @@ class SurfaceGrid:
     high: FloatArray
     spacing: float  # h, mm
     coefficients: FloatArray = field(repr=False)  # (nx, ny, nz), the first at low - PAD h
+    notes: tuple[str, ...] = ()  # what was left out of the surface, and defects off the sheet
 
     @property
     def box(self) -> FloatArray:
@@ -143,7 +147,7 @@ def surface_grid(
     """
     h = check_number("spacing", SPACING if spacing is None else spacing)
     reach = float(np.ptp([low, high], axis=0).max()) if reach is None else reach
-    check_surface(vertices, triangles, low, high, reach, scale, flip)
+    notes = check_surface(vertices, triangles, low, high, reach, scale, flip)
     margin = max(10.0, MARGIN * h)
     low = np.maximum(low, vertices.min(0) - margin)
     high = np.minimum(high, vertices.max(0) + margin)
@@ -155,8 +159,13 @@ def surface_grid(
     if (nodes := np.prod(9.0 * cells + 1.0)) > MOST_NODES:
         at_least = h * (nodes / MOST_NODES) ** (1 / 3)
         raise InputError(f"grid of {nodes:.1e} nodes: set spacing = {at_least:.2g} or more")
-    grid = SurfaceGrid(low, high, h, _coefficients(vertices, triangles, low - PAD * h, h, cells))
-    corners = vertices[triangles]
+    inner, hidden = _in_other_bodies(vertices, triangles)
+    if inner.any():
+        notes.append(f"bodies in each other united: {inner.sum()} triangles inside left out")
+    surface = (vertices, triangles, triangles[~inner])
+    C = _coefficients(*surface, low - PAD * h, h, cells)
+    grid = SurfaceGrid(low, high, h, C, tuple(notes))
+    corners = vertices[triangles[~hidden]]
     centres, normals = corners.mean(1), normals_of(corners)
     covered = ((centres > low) & (centres < high)).all(1)
     centres, normals = centres[covered], normals[covered]
@@ -164,21 +173,31 @@ def surface_grid(
     along = np.einsum("pi,pi->p", grid.distance(centres)[1], normals)
     lost = np.where(along < LOST * area, area, 0.0)
     if lost.sum() > 0.01 * area.sum():
-        raise InputError(
-            f"walls, gaps or bodies in each other that a grid of {h:g} mm cannot show, for one at "
-            f"{position(centres[lost.argmax()])} mm: set a smaller spacing"
-        )
+        at = position(centres[lost.argmax()])
+        words = f"walls or gaps that a grid of {h:g} mm cannot show, for one at {at} mm"
+        size = float(np.ptp(vertices, axis=0).max())
+        small = reach is not None and size < SMALL * reach
+        remedy = likely_unit(size / scale, reach) if small else f"set spacing = {h / 4:.2g} or less"
+        raise InputError(f"{words}: {remedy}")
     return grid
 
 
 def _coefficients(
-    vertices: FloatArray, triangles: np.ndarray, first: FloatArray, h: float, cells: np.ndarray
+    vertices: FloatArray,
+    triangles: np.ndarray,
+    outer: np.ndarray,
+    first: FloatArray,
+    h: float,
+    cells: np.ndarray,
 ) -> FloatArray:
-    """Coefficients of the spline on a grid of 9 `cells` from `first` on, from coarse to fine."""
+    """Coefficients of the spline on a grid of 9 `cells` from `first` on, from coarse to fine.
+
+    The sign is that of all triangles, the distance that from the `outer` ones.
+    """
     from scipy.ndimage import spline_filter, zoom
 
     edges, count, _ = edges_of(triangles)
-    surface = (vertices, triangles, edges[count == 1])
+    surface = (vertices, triangles, outer, edges[count == 1])
     for step in (9, 3, 1):
         shape = cells * 9 // step + 1
         if step == 9:
@@ -192,16 +211,44 @@ def _coefficients(
     return spline_filter(d, mode="mirror")
 
 
-def _signed_distance(
-    points: FloatArray, vertices: FloatArray, triangles: np.ndarray, rim: np.ndarray
-) -> FloatArray:
-    """Exact signed distance (m,) of points (m, 3) to the triangles; rim: (k, 2) edges."""
+def _in_other_bodies(vertices: FloatArray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Triangles of closed bodies that lie inside another one: the whole, and the centroid alone.
+
+    Their outer side is inside by the winding number, which counts the bodies around a point.
+    """
+    none = np.zeros(len(triangles), dtype=bool)
+    edges, count, _ = edges_of(triangles)
+    link = coo_array((np.ones(len(edges)), edges.T), shape=2 * (len(vertices),))
+    if (count != 2).any() or len(np.unique(connected_components(link, False)[1][edges])) < 2:
+        return none, none
     igl = optional("igl", "surface", "a tool from a file needs libigl")
-    sign = "PSEUDONORMAL" if len(rim) else "FAST_WINDING_NUMBER"
-    by = getattr(igl, f"SIGNED_DISTANCE_TYPE_{sign}")
+    corners = vertices[triangles]
+    normals = normals_of(corners)
+    out = 1e-4 * np.sqrt(np.linalg.norm(normals, axis=1))  # of the size of the triangle
+    step = (out / np.linalg.norm(normals, axis=1))[:, None] * normals
+    near = 0.98 * np.eye(3) + 0.02 / 3  # the corners, just inside the triangle
+    shares = np.vstack([np.full(3, 1 / 3), near, 0.5 * (near + np.roll(near, 1, axis=0))])
+    points = np.einsum("ks,msi->mki", shares, corners) + step[:, None]
+    around = igl.fast_winding_number(vertices, triangles, points.reshape(-1, 3)) > 0.5
+    around = around.reshape(len(triangles), len(shares))
+    return around.all(1), around[:, 0]
+
+
+def _signed_distance(
+    points: FloatArray,
+    vertices: FloatArray,
+    triangles: np.ndarray,
+    outer: np.ndarray,
+    rim: np.ndarray,
+) -> FloatArray:
+    """Exact signed distance (m,) of points (m, 3) to the outer triangles; rim: (k, 2) edges."""
+    igl = optional("igl", "surface", "a tool from a file needs libigl")
+    if not len(rim):
+        inside = igl.fast_winding_number(vertices, triangles, points) > 0.5
+        d = np.sqrt(igl.point_mesh_squared_distance(points, vertices, outer)[0])
+        return np.where(inside, -d, d)
+    by = igl.SIGNED_DISTANCE_TYPE_PSEUDONORMAL
     d, _, foot, normal = igl.signed_distance(points, vertices, triangles, by)
-    if not len(rim):  # the sign alone: libigl scales the distance by 1 - 2 |winding number|
-        return np.copysign(np.linalg.norm(points - foot, axis=1), d)
     to_rim = np.sqrt(igl.point_mesh_squared_distance(foot, vertices, rim)[0])
     behind = np.minimum(np.einsum("pi,pi->p", points - foot, normal), 0.0)
     from_wall = np.sqrt(np.maximum(d**2 - behind**2, 0.0))
@@ -217,34 +264,52 @@ def check_surface(
     reach: float | None = None,
     scale: float = 1.0,
     flip: bool = False,
-) -> None:
+) -> list[str]:
     """Check that a surface has one size, one outside and no holes where the sheet can be.
 
-    It may be open at one outer boundary; holes are allowed outside the box from `low` to `high`,
-    mm. `reach` is the size of the blank, mm, for the check of units; `scale` and `flip`, applied
-    already, are for the messages. InputError names the defect and where it is.
+    It may be open at one outer boundary; outside the box from `low` to `high`, mm, defects are
+    allowed, and returned. `reach` is the size of the blank, mm, for the check of units; `scale` and
+    `flip`, applied already, are for the messages. InputError names the defect and where it is.
     """
     check_numbers(vertices, triangles)
     if reach is not None:
         check_size(np.ptp(vertices[triangles].reshape(-1, 3), axis=0).max(), reach, scale)
     edges, count, turns = edges_of(triangles)
+    notes = []
     for wrong, what in (
         (count > 2, "shared by more than two triangles"),
         ((count == 2) & (turns != 0), "between triangles with opposite normals"),
     ):
-        if n := int(wrong.sum()):
-            at = position(vertices[edges[wrong][0]].mean(0))
-            raise InputError(f"{n} edge{'s' * (n > 1)} {what}, one at {at} mm: {REMEDY}")
+        ends = edges[wrong]
+        near = _reached(vertices[ends[:, 0]], vertices[ends[:, 1]], low, high)
+        for bad, here in ((ends[near], True), (ends[~near], False)):
+            if n := len(bad):
+                at = position(vertices[bad[0]].mean(0))
+                words = f"{n} edge{'s' * (n > 1)} {what}, one at {at} mm"
+                if here:
+                    raise InputError(f"{words}: {REMEDY}")
+                notes.append(f"{words}: away from the sheet")
     corners = vertices[triangles] - vertices.mean(0)
     if (count == 2).all() and np.linalg.det(corners).sum() < 0:
         raise InputError(f"the normals point inwards: set flip = {str(not flip).lower()}")
     for ring in holes_of(vertices, triangles):
         start, end = vertices[ring], vertices[np.roll(ring, -1)]
-        along = start + np.linspace(0.0, 1.0, 20)[:, None, None] * (end - start)
-        if low is None or high is None or ((along > low) & (along < high)).all(-1).any():
-            hole = f"a hole of {len(ring)} edges, {np.ptp(start, axis=0).max():.3g} mm across"
-            at = position(start.mean(0))
-            raise InputError(f"{hole}, around {at} mm: close it ({REMEDY})")
+        hole = f"a hole of {len(ring)} edges, {np.ptp(start, axis=0).max():.3g} mm across"
+        words = f"{hole}, around {position(start.mean(0))} mm"
+        if _reached(start, end, low, high).any():
+            raise InputError(f"{words}: close it ({REMEDY})")
+        notes.append(f"{words}: away from the sheet")
+    return notes
+
+
+def _reached(
+    start: FloatArray, end: FloatArray, low: FloatArray | None, high: FloatArray | None
+) -> np.ndarray:
+    """(k,) whether edges between points (k, 3) reach into a box; all do if there is none."""
+    if low is None or high is None:
+        return np.ones(len(start), dtype=bool)
+    along = start + np.linspace(0.0, 1.0, 20)[:, None, None] * (end - start)
+    return ((along > low) & (along < high)).all(-1).any(0)
 
 
 def check_size(size: float, reach: float, scale: float = 1.0) -> None:

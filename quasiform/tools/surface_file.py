@@ -1,4 +1,4 @@
-"""Triangles of a surface from a file: STL, OBJ, PLY, OFF, VTU, VTK, MSH, and CAD through gmsh.
+"""Triangles of a surface from a file: STL, OBJ, OFF, meshes, and CAD through gmsh.
 
 Files are not trusted: nothing in them is executed, and reading writes nothing.
 """
@@ -9,13 +9,9 @@ import os
 import re
 import subprocess
 import sys
-import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib import import_module
-from io import BytesIO, StringIO
-from itertools import pairwise
+from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
@@ -23,20 +19,31 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..checks import InputError, check_file, check_number, naming, optional
+from ..meshes.inp_file import read_inp
+from ..meshes.mesh_file import read_mesh, reading
+from ..meshes.shells import Shells, counted
 from .mending import check_numbers, merged, oriented, without_defects
 
 if TYPE_CHECKING:
-    import meshio
     from scipy.spatial.transform import Rotation
 
 FloatArray = np.ndarray
 Surface = tuple[FloatArray, np.ndarray]
 Vector = tuple[float, float, float]
+Faces = tuple[FloatArray, list[list[int]], dict[str, int]]
 
-MESHIO = {".ply": "ply", ".off": "off", ".vtu": "vtu", ".vtk": "vtk", ".msh": "gmsh"}
+MESHIO = {".ply": "ply", ".vtu": "vtu", ".vtk": "vtk", ".msh": "gmsh"}
+MESHIO |= dict.fromkeys((".nas", ".bdf", ".fem"), "nastran")
 CAD = {".step": "step", ".stp": "step", ".iges": "iges", ".igs": "iges", ".brep": "brep"}
-KINDS = (".stl", ".obj", *MESHIO, *CAD)
-MEMORY = 500_000_000  # bytes for reading a mesh, beside a hundred times its file
+KINDS = (".stl", ".obj", ".off", *MESHIO, ".inp", *CAD)
+OTHERS = {
+    "l": "lines",
+    "p": "points",
+    "curv": "curves",
+    "curv2": "curves",
+    "surf": "surfaces",
+}  # of OBJ
+LOST = 2**31 - 1  # number of a vertex that is not there
 PATIENCE = 120.0  # s, for a CAD file
 CUT_OFF = "the file is cut off, {}: export or copy it anew"
 CAD_MESH = Path(__file__).with_name("cad.py")
@@ -55,7 +62,7 @@ class SurfaceFile:
 
     def placed(self) -> tuple[FloatArray, np.ndarray, list[str]]:
         """Vertices and triangles as `read_surface`, in the tool's frame, and what was repaired."""
-        vertices, triangles, merging = _read(self.path, self.scale)
+        vertices, triangles, merging = read_with_notes(self.path, self.scale)
         with naming(self.path):
             triangles, repairs = without_defects(vertices, triangles)
         vertices = self._turn.apply(vertices - self.origin)
@@ -76,16 +83,18 @@ class SurfaceFile:
 def read_surface(path: str | Path, scale: float = 1.0) -> Surface:
     """Read a surface; nothing is printed and no file is left behind.
 
-    Polygons are split into triangles, other cells ignored. STEP and IGES (in mm by their own unit)
-    and BREP are meshed by gmsh, finer where they are curved. `scale` is mm per unit of the file.
+    Polygons are split into triangles, other cells counted among the repairs of a tool. STEP and
+    IGES (in mm by their own unit) and BREP are meshed by gmsh, finer where they are curved.
+    `scale` is mm per unit of the file.
 
     Returns vertices (n, 3), mm, those that coincide merged, and triangles (m, 3), turning about the
     outward normal, none degenerate. InputError names a file that cannot be read.
     """
-    return _read(path, scale)[:2]
+    return read_with_notes(path, scale)[:2]
 
 
-def _read(path: str | Path, scale: float) -> tuple[FloatArray, np.ndarray, list[str]]:
+def read_with_notes(path: str | Path, scale: float) -> tuple[FloatArray, np.ndarray, list[str]]:
+    """Read as `read_surface`, with what was merged and left out."""
     path = Path(path)
     kind = path.suffix.lower()
     with naming(path):
@@ -94,38 +103,53 @@ def _read(path: str | Path, scale: float) -> tuple[FloatArray, np.ndarray, list[
             known = ", ".join(KINDS)
             raise InputError(f"unknown kind of surface '{kind}': expected one of {known}")
         check_file(path)
-        vertices, triangles = _read_cad(path, CAD[kind]) if kind in CAD else _read_mesh(path, kind)
+        left_out: Mapping[str, int] = {}
+        if kind in CAD:
+            vertices, triangles = _read_cad(path, CAD[kind])
+        elif kind == ".stl":
+            vertices, triangles = _read_stl(path)
+        else:
+            shells = _read_mesh(path, kind)
+            vertices, triangles, left_out = shells.points, shells.split()[0], shells.left_out
+        if left_out and not len(triangles):
+            raise InputError(f"no triangles: the file holds {counted(left_out)}")
         check_numbers(vertices, triangles)
         vertices, triangles, repairs = merged(scale * vertices, triangles)
+        repairs += [f"left out: {counted(left_out)}"] * bool(left_out)
         return vertices, oriented(vertices, triangles) if kind in CAD else triangles, repairs
 
 
-def _read_mesh(path: Path, kind: str) -> Surface:
-    """Vertices and triangles of a mesh, its polygons split."""
+def _read_mesh(path: Path, kind: str) -> Shells:
+    """Vertices and faces of a mesh."""
+    if kind == ".inp":
+        return Shells(**read_inp(path))
     content = path.read_bytes()
     if kind == ".ply" and not re.search(rb"^end_header\s*$", content, re.MULTILINE):
         raise InputError("not a readable .ply file: no end_header")  # meshio would not end either
     if kind in MESHIO:
-        mesh = read_mesh(path, MESHIO[kind])
-        kinds = ("triangle", "quad", "polygon")
-        faces = [block.data for block in mesh.cells if block.type in kinds]
-        fans = [face[:, [0, i, i + 1]] for face in faces for i in range(1, face.shape[1] - 1)]
-        return mesh.points, np.concatenate(fans or [np.empty((0, 3), int)])
-    if kind == ".obj":
-        with _reading(path):
-            return _read_obj(content)
+        return Shells.of_mesh(read_mesh(path, MESHIO[kind]))
+    with reading(path):
+        read = {".obj": _read_obj, ".off": _read_off}[kind](content.decode("latin-1"))
+    return Shells.of_faces(*read)
+
+
+def _read_stl(path: Path) -> Surface:
     trimesh = optional("trimesh", "surface", "an .stl file needs trimesh")
-    content = _whole_stl(content)
-    with _reading(path):
+    content = _whole_stl(path.read_bytes())
+    with reading(path):
         mesh = trimesh.load_mesh(BytesIO(content), file_type="stl", process=False)
         return np.array(mesh.vertices, float), np.array(mesh.faces)
 
 
-def _read_obj(content: bytes) -> Surface:
-    """Vertices and faces of an OBJ file; negative numbers count back from the last vertex."""
+def _read_obj(text: str) -> Faces:
+    """Vertices and faces of an OBJ file; negative numbers count back from the last vertex.
+
+    trimesh 5 mixes up negative numbers where vertices follow a face, and fails at comments.
+    """
     points: list[list[float]] = []
-    fans: list[tuple[int, int, int]] = []
-    text = content.decode("latin-1").replace("\r", "\n")
+    faces: list[list[int]] = []
+    left_out: dict[str, int] = {}
+    text = text.replace("\r", "\n")
     for line in re.sub(r"\\\n+", " ", text).split("\n"):
         key, *words = line.split("#")[0].split() or [""]
         if key == "v":
@@ -133,9 +157,31 @@ def _read_obj(content: bytes) -> Surface:
             points.append([x, y, z])
         elif key == "f":
             numbers = [int(word.split("/")[0]) for word in words]
-            face = [k - 1 if k > 0 else len(points) + k if k < 0 else -1 for k in numbers]
-            fans += [(face[0], b, c) for b, c in pairwise(face[1:])]
-    return np.reshape(points, (-1, 3)), np.array(fans, dtype=int).reshape(-1, 3)
+            back = [len(points) + k if 0 < -k <= len(points) else LOST for k in numbers]
+            faces.append([k - 1 if k > 0 else b for k, b in zip(numbers, back, strict=True)])
+        elif key in OTHERS:
+            left_out[OTHERS[key]] = left_out.get(OTHERS[key], 0) + 1
+    return np.reshape(points, (-1, 3)), faces, left_out
+
+
+def _read_off(text: str) -> Faces:
+    """Vertices and faces of an OFF file; what follows a vertex or a face, as a colour, is ignored.
+
+    meshio reads triangles only.
+    """
+    lines = [line.split() for line in re.sub(r"#.*", "", text).splitlines() if line.split()]
+    head = lines[0][0]
+    if not head.endswith("OFF") or head.startswith(("4", "n", "ST4", "STn")):
+        raise ValueError("expected OFF in its first line")
+    first = lines[0][1:] or lines.pop(1)
+    many, faces = int(first[0]), int(first[1])
+    body = lines[1:]
+    points = np.array([row[:3] for row in body[:many]], dtype=float).reshape(-1, 3)
+    chosen = [(int(row[0]), row[1:]) for row in body[many : many + faces]]
+    rows = [(n, [int(word) for word in row[:n]]) for n, row in chosen]
+    if len(rows) < faces or any(len(row) < n for n, row in rows):
+        raise ValueError("the file ends too early")
+    return points, [row for _, row in rows], {}
 
 
 def _whole_stl(content: bytes) -> bytes:
@@ -153,51 +199,6 @@ def _whole_stl(content: bytes) -> bytes:
         what = f"{there} triangles of the {count} that its head promises"
         raise InputError(CUT_OFF.format(what))
     return content[:80] + count.to_bytes(4, "little") + content[84 : 84 + 50 * count]
-
-
-def read_mesh(path: Path, kind: str | None = None) -> meshio.Mesh:
-    """Read a mesh, its points (n, 3), by meshio, in the format `kind` or that of the suffix."""
-    reader = import_module(f"meshio.{kind}" if kind else "meshio")
-    with _reading(path):
-        mesh = reader.read(str(path))
-    if mesh.points.ndim != 2 or mesh.points.shape[1] not in (2, 3):
-        raise InputError("the points have no two or three coordinates")
-    mesh.points = np.pad(np.asarray(mesh.points, float), ((0, 0), (0, 3 - mesh.points.shape[1])))
-    return mesh
-
-
-@contextmanager
-def _reading(path: Path) -> Iterator[None]:
-    """Silence a reader that prints and warns; what it raises or exits with is an InputError."""
-    try:
-        silent = redirect_stdout(StringIO()), redirect_stderr(StringIO())
-        with silent[0], silent[1], warnings.catch_warnings(), _enough_memory(path.stat().st_size):
-            warnings.simplefilter("ignore")
-            warnings.filterwarnings("error", "string or file could not be read to its end")
-            yield
-    except (Exception, SystemExit) as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
-        reason = "" if isinstance(error, SystemExit) else f": {reason}"
-        raise InputError(f"not a readable {path.suffix.lower()} file{reason}") from error
-
-
-@contextmanager
-def _enough_memory(size: int) -> Iterator[None]:
-    """Let a damaged count in a file of `size` bytes end in a MemoryError, where Linux can."""
-    try:
-        resource = import_module("resource")
-        used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-    except (ImportError, OSError):
-        yield
-        return
-    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
-    limits = [limit for limit in (soft, hard) if limit != resource.RLIM_INFINITY]
-    least = min([used + MEMORY + 100 * size, *limits])
-    resource.setrlimit(resource.RLIMIT_AS, (least, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
 
 
 def _read_cad(path: Path, kind: str) -> Surface:

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 FloatArray = np.ndarray
 SMALL = 0.2  # of an opening: the model warns of a narrower punch
+BASE = 0.9  # of the area seen from above: a flat face as large is a base
 SAMPLES = 60  # points a side of the grid on which an opening is looked for
 
 
@@ -159,7 +160,8 @@ def read(part: ToolPart, outline: shapely.Polygon, travel: float, thickness: flo
             vertices, triangles, low, high, file.spacing, across, file.scale, file.flip
         )
     warnings = _orientation_warnings(vertices, triangles, part.role, file)
-    return ToolFile(part, thickness, grid, vertices, len(triangles), repairs, warnings)
+    notes = [*repairs, *grid.notes]
+    return ToolFile(part, thickness, grid, vertices, len(triangles), notes, warnings)
 
 
 def why_tight(driven: Tool, fixed: Tool, files: Mapping[str, ToolFile], thickness: float) -> str:
@@ -184,19 +186,34 @@ def why_tight(driven: Tool, fixed: Tool, files: Mapping[str, ToolFile], thicknes
 def _orientation_warnings(
     vertices: FloatArray, triangles: np.ndarray, role: str, file: SurfaceFile
 ) -> list[str]:
-    """What makes an open surface look upside down or inside out, and the line that corrects it."""
+    """What makes a surface look upside down or inside out, and the line that corrects it."""
     rims = rims_of(vertices, triangles)
-    if not rims:
-        return []
     # turned by another 180 degrees about x, which reverses the turns about y and z
     x, y, z = file.rotate
     over = np.array([180.0 - (-x % 360), -y, -z]) + 0.0
     upside_down = "rotate = [{:g}, {:g}, {:g}]".format(*over)
     height = vertices[:, 2] - vertices[:, 2].min()
     tall = height.max() > 1e-3 * np.ptp(vertices)
+    if not rims:
+        stands = role == "punch" and tall and _stands_on_its_base(vertices, triangles, height)
+        words = (
+            f"it has a flat base towards the sheet and narrows upwards: upside down? {upside_down}"
+        )
+        return [words] if stands else []
     if role == "punch" and tall and height[rims[0]].mean() < 0.1 * height.max():
         return [f"the surface is open towards the sheet: upside down? {upside_down}"]
     up = normals_of(vertices[triangles])[:, 2].sum()
     flip = f"inside out? flip = {str(not file.flip).lower()}; or upside down? {upside_down}"
     away = up * (1 if role == "die" else -1) < 0
     return [f"its normals point away from the sheet: {flip}"] if away else []
+
+
+def _stands_on_its_base(vertices: FloatArray, triangles: np.ndarray, height: FloatArray) -> bool:
+    """Whether the lowest face of a closed body is as wide as the body, and no other level is."""
+    level = 1e-3 * height.max()
+    plan = 0.5 * normals_of(vertices[triangles])[:, 2]
+    at = height[triangles]
+    base = -plan[(at < level).all(1)].sum()
+    top = plan[(at > height.max() - level).all(1)].sum()
+    whole = plan[plan > 0].sum()
+    return bool(base > BASE * whole > 0 and top < (1 - 2 * (1 - BASE)) * whole)

@@ -1,0 +1,1 @@
+"""Files of meshes: every element is used, or counted by its kind."""
