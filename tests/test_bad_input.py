@@ -86,11 +86,20 @@ CHANGES = {"os.mkdir": 1, "os.remove": 1, "os.rmdir": 1, "os.rename": 2, "os.lin
 CHANGES |= {"os.symlink": 2, "os.truncate": 1, "os.chmod": 1, "shutil.rmtree": 1}
 FOREIGN = ("subprocess.", "os.exec", "os.posix_spawn", "os.system", "os.fork", "socket.connect")
 FOREIGN += ("pickle.find_class", "webbrowser.", "urllib.", "ftplib.")
+WATCHED = ("open", *CHANGES, *FOREIGN)
 seen: list[tuple[str, str]] | None = None  # what a watched run changes or starts
 
 
+def _by_numba():
+    """Whether numba compiles loops, or reads or fills its cache of them."""
+    frame = sys._getframe(1)
+    while frame and not frame.f_globals.get("__name__", "").startswith("numba."):
+        frame = frame.f_back
+    return frame is not None
+
+
 def _audit(event, arguments):
-    if seen is None:
+    if seen is None or (event.startswith(WATCHED) and _by_numba()):
         return
     if event == "open" and not isinstance(arguments[0], int):
         path, mode, flags = arguments

@@ -18,7 +18,7 @@ from .linear import NotConvergedError, SlidesOffError
 from .tangent import Tangent
 
 LEAST_FORCE = 1e-6  # N: what a driving force counts for where a tool has not touched yet
-ROUND_OFF = 5e-2  # of eps times stiffness, thickness and size: a node's force of round-off
+ROUND_OFF = 0.2  # of eps times stiffness, thickness and size: a node's force of round-off
 HOLDING = 0.1  # of the tolerance where friction holds a dead load
 LEFT_OVER = 2e-2  # residual that lagged values may leave to the next increment
 DRAWN = 3.0  # slide along a tool by the motion that drives it
