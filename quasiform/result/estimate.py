@@ -13,7 +13,7 @@ from .outcome import Outcome
 
 FloatArray = np.ndarray
 SAFETY = 1.25
-ALONE = 3.0  # the same where there are two meshes only
+COARSE = 3.0  # the same where there are two meshes only, too coarse for the fillets
 
 
 def judged(result: Outcome, coarser: Sequence[Outcome], finer: Outcome | None = None) -> Outcome:
@@ -34,9 +34,10 @@ def judged(result: Outcome, coarser: Sequence[Outcome], finer: Outcome | None = 
     if len(levels) < 2 or result.reason or result.collapse:
         return result
     sizes, values = [level.model.size for level in levels], [level.quantities for level in levels]
-    own = levels.index(result)
+    own, coarsest = levels.index(result), result.model.coarsest
+    alone = COARSE if 0 < coarsest * (1 + 1e-6) < result.model.size else SAFETY
     estimate = {
-        name: float(discretisation_error([v[name] for v in values], sizes, own, ALONE))
+        name: float(discretisation_error([v[name] for v in values], sizes, own, alone))
         + result.path_gap.get(name, 0.0)
         for name in values[0]
         if all(name in v for v in values)
@@ -44,7 +45,7 @@ def judged(result: Outcome, coarser: Sequence[Outcome], finer: Outcome | None = 
     blank = result.blank
     fields = [level.shear_angle_at(blank.nodes) for level in levels]
     fields[own] = nodal(blank, result.shear_angle)
-    error = discretisation_error(fields, sizes, own, ALONE)[blank.triangles].mean(1)
+    error = discretisation_error(fields, sizes, own, alone)[blank.triangles].mean(1)
     return replace(
         result,
         estimate=estimate,
@@ -108,7 +109,7 @@ def discretisation_error(
     d' is that of the second mesh to the one nearest to ρ times its size. r is at least 1/ρ² (second
     order) and at most one: where a boundary layer is not resolved yet, differences do not fall for
     a while. Where two meshes happen to agree, d'/ρ² is used. Two meshes alone have no r:
-    d/(ρ - 1) with the safety factor `alone`, which [1]_ puts at 3.
+    d/(ρ - 1) with the safety factor `alone`; [1]_ puts it at 3 where little is known of the order.
 
     References
     ----------
