@@ -18,7 +18,9 @@ def values() -> dict[str, float]:
     result = qf.solve(qf.off_axis_tension(30, LAWS["locking"], displacement=15), estimate=False)
     fabric = result.model.sheet.fabric
     found["energy balance"] = result.energy_balance
-    for state in result.states[1:]:
+    for state in result.states:
+        if state.travel not in (5.0, 10.0, 15.0):  # there are rows between
+            continue
         u = round(state.travel)
         found[f"force u={u}"] = state.force
         bound = ideal.energy(state.travel, fabric.shear.energy, fabric.thickness)
