@@ -64,7 +64,7 @@ def scene(folder, tool, blank=SHEET, die=DIE):
     return qf.forming(folder / "scene.toml")
 
 
-def told(model):
+def described(model):
     return "\n".join(f"{what}: {why}" for what, why in model.description)
 
 
@@ -448,8 +448,8 @@ def test_the_model_reports_a_mesh_of_its_own(tmp_path):
     mesh = meshio.Mesh(np.vstack([points, points]), [("quad", np.vstack([left, right]))])
     mesh.write(tmp_path / "own.vtu")
     model = scene(tmp_path, 'shape = "round punch"\nradius = 40.0', '[blank]\nmesh = "own.vtu"')
-    assert "blank from own.vtu: 200 x 200 mm" in told(model)
-    assert "own.vtu: 21 nodes merged" in told(model)
+    assert "blank from own.vtu: 200 x 200 mm" in described(model)
+    assert "own.vtu: 21 nodes merged" in described(model)
 
 
 # Drawings
@@ -488,18 +488,18 @@ def test_a_layer_can_be_chosen(tmp_path):
     with pytest.raises(InputError, match=r"never meets the sheet.*has a hole"):
         scene(tmp_path, punch, blank)  # the frame with the ply as a hole
     model = scene(tmp_path, punch, blank + 'layer = "cut"\n')
-    assert "blank from ply.dxf: 300 x 200 mm, 6e+04 mm²" in told(model)
+    assert "blank from ply.dxf: 300 x 200 mm, 6e+04 mm²" in described(model)
     written = scene_file.scene_toml(scene_file.load(str(tmp_path / "scene.toml")))
     assert 'layer = "cut"' in written
     with pytest.raises(InputError, match="no lines on layer 'CUTS': did you mean 'CUT'"):
         read_drawing(tmp_path / "ply.dxf", layer="CUTS")
 
 
-def test_a_header_of_inches_over_a_drawing_in_mm_is_doubted(tmp_path):
+def test_a_header_of_inches_over_a_drawing_in_mm_gets_a_warning(tmp_path):
     """300 x 200 drawn are 7620 x 5080 mm by the header, beside a punch of 80 mm."""
     drawing(tmp_path / "ply.dxf", "off", units=1)
     blank = '[blank]\nshape = "file"\nfile = "ply.dxf"\nsize = 200.0\n'
-    words = told(scene(tmp_path, 'shape = "round punch"\nradius = 40.0', blank))
+    words = described(scene(tmp_path, 'shape = "round punch"\nradius = 40.0', blank))
     assert "blank from ply.dxf: 7620 x 5080 mm" in words
     assert "the header says inches; if it is drawn in mm, set scale = 0.03937008" in words
     assert_allclose(read_drawing(tmp_path / "ply.dxf", 0.03937008).polygon.area, 6e4, rtol=1e-6)
@@ -538,8 +538,9 @@ def test_bodies_in_each_other_are_united(tmp_path):
     assert_allclose(grid.distance(points)[0], exact, atol=0.15)
     assert grid.distance(np.array([[0.0, 0, 0], [0, 0, -20], [0, 0, 10]]))[0].max() < 0
     model = scene(tmp_path, 'file = "tool.vtu"')
-    assert "tool.vtu repaired: bodies in each other united: 2 triangles inside left out" in told(
-        model
+    assert (
+        "tool.vtu repaired: bodies in each other united: 2 triangles inside left out"
+        in described(model)
     )
 
 
@@ -556,7 +557,7 @@ def test_a_defect_far_from_the_sheet_is_a_note(tmp_path):
     fin = np.array([[0.0, 0, 300], [20, 0, 300], [10, 0, 320], [10, 10, 320], [10, -10, 320]])
     wrong = [[0, 1, 2], [0, 1, 3], [1, 0, 4]]
     written(tmp_path / "tool.vtu", (points, faces), (fin, np.array(wrong)))
-    words = told(scene(tmp_path, 'file = "tool.vtu"'))
+    words = described(scene(tmp_path, 'file = "tool.vtu"'))
     assert "1 edge shared by more than two triangles, one at (10, 0, 300) mm: away from" in words
     written(tmp_path / "tool.vtu", (points, faces), (fin - [0, 0, 290], np.array(wrong)))
     with pytest.raises(InputError, match="shared by more than two triangles"):
@@ -566,14 +567,14 @@ def test_a_defect_far_from_the_sheet_is_a_note(tmp_path):
 def test_a_closed_punch_on_its_flat_side_looks_upside_down(tmp_path):
     points, faces = dome()
     written(tmp_path / "tool.vtu", (points * [1, -1, -1], faces))
-    words = told(scene(tmp_path, 'file = "tool.vtu"'))
+    words = described(scene(tmp_path, 'file = "tool.vtu"'))
     assert (
         "flat base towards the sheet and narrows upwards: upside down? rotate = [180, 0, 0]"
         in words
     )
-    assert "warning" not in told(scene(tmp_path, 'file = "tool.vtu"\nrotate = [180, 0, 0]'))
+    assert "warning" not in described(scene(tmp_path, 'file = "tool.vtu"\nrotate = [180, 0, 0]'))
     written(tmp_path / "tool.vtu", box([-30.0, -30, 0], [30, 30, 40]))  # flat on both sides
-    assert "upside down" not in told(scene(tmp_path, 'file = "tool.vtu"'))
+    assert "upside down" not in described(scene(tmp_path, 'file = "tool.vtu"'))
 
 
 # Scenes that are not mechanical, and small ones

@@ -229,15 +229,14 @@ class Output:
         """Folder to write to; refused where it holds one of the files."""
         from ..result.files import check_folder
 
-        claim = self.claim(name)
-        CLAIMS.append(claim)
-        return check_folder(claim.folder, force=self.force, names=files)
+        return check_folder(self.claim(name).folder, force=self.force, names=files)
 
     def claim(self, name: str) -> Claim:
-        """Claim the folder for this command."""
+        """Claim the folder until the command ends."""
         from ..result.files import Claim, claim_new
 
-        return Claim(self.out) if self.out else claim_new(_numbered(_case(name)))
+        CLAIMS.append(Claim(self.out) if self.out else claim_new(_numbered(_case(name))))
+        return CLAIMS[-1]
 
     def file(self, path: Path) -> Path:
         """File to write; refused where it exists."""
@@ -522,7 +521,10 @@ def export(
 @app.command
 def resume(folder: Annotated[Folder, about("Folder of the run.")], /) -> int:
     """Continue a run of `oat` or `form` from the last increment in its folder."""
-    journal = qf.Journal(folder, resume=True)
+    from ..result.files import Claim
+
+    CLAIMS.append(Claim(folder))
+    journal = qf.Journal(CLAIMS[-1], resume=True)
     if set(journal.options) != set(OPTIONS):
         raise InputError(
             f"{folder}: the run there was not started by a command; continue it with "
@@ -706,12 +708,11 @@ def _run(model: qf.Model, journal: qf.Journal) -> int:
 
     folder, options, clock = journal.folder, journal.options, perf_counter()
     terminal.say(f"writing to {folder}", terminal.describe(model))
-    how = {"increment": options["increment"], "linear": options["linear"], "out": journal}
+    how = {name: options[name] for name in ("increment", "linear", "estimate")} | {"out": journal}
     with LiveProgress(model.travel) as callback:
         if options["one_mesh"]:
-            result = qf.solve(model, callback, estimate=options["estimate"], **how)
+            result = qf.solve(model, callback, **how)
         else:
-            how["estimate"] = options["estimate"]
             result = qf.refine(model, callback, options["accuracy"], **how)
         if result.status == "completed" and options["seeds"]:
             try:

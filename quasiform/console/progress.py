@@ -70,7 +70,7 @@ class LiveProgress:
             print(words, file=sys.stderr, flush=True)
 
     def step(self, step: Progress) -> None:
-        """Show how far that has come."""
+        """Show how far the stage has come."""
         self._part, self._shown = step, time.perf_counter()
         if not self._live.is_started:
             print(f"{self._stage}: {_words(step)}", file=sys.stderr, flush=True)

@@ -109,7 +109,7 @@ class Bending(Term):
 
     def curvature(self, x: FloatArray) -> FloatArray:
         """(n_stencils, 2) curvatures κ11 of the warp and κ22 of the weft, 1/mm."""
-        return self._at(x)[1]
+        return self.at(x)[1]
 
     def _combined(self, x: FloatArray, count: int) -> FloatArray:
         """(n_stencils, count, dim) the first of k_warp, k_weft, u, v."""
@@ -126,7 +126,7 @@ class Bending(Term):
         forces = forces.reshape(len(forces), 1, -1)
         return (forces @ self.operator[:, : forces.shape[2]])[:, 0]
 
-    def _at(self, x: FloatArray) -> tuple[FloatArray, ...]:
+    def at(self, x: FloatArray) -> tuple[FloatArray, ...]:
         """(n_stencils, 4, 3) k_warp, k_weft, u and v, κ, n and |u x v|; kept for the last x."""
         if self._last is None or not same(self._last[0], x):
             y = self._combined(x, 4)
@@ -139,7 +139,7 @@ class Bending(Term):
         if r == 1:
             k = self._combined(x, 2)
             return 0.5 * np.einsum("sf,sfc,sfc->s", self.stiffness, k, k)
-        y, kappa, _, _ = self._at(x)
+        y, kappa, _, _ = self.at(x)
         if self.kernels:
             return self.kernels.bending_energy(y, kappa, self.stiffness, r)
         square = (y[:, :2] ** 2).sum(-1)
@@ -147,12 +147,12 @@ class Bending(Term):
 
     def by_in_plane(self, x: FloatArray) -> float:
         """Derivative of the energy by r, mJ."""
-        y, kappa, _, _ = self._at(x)
+        y, kappa, _, _ = self.at(x)
         return float(0.5 * (self.stiffness * ((y[:, :2] ** 2).sum(-1) - kappa**2)).sum())
 
-    def _slopes(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def slopes(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Derivatives of κ by u x v (n_stencils, 2, 3) and by k_warp, k_weft, u, v (.., 4, 3)."""
-        y, kappa, n, length = self._at(x)
+        y, kappa, n, length = self.at(x)
         q = (y[:, :2] - kappa[..., None] * n[:, None]) / length[:, None, None]
         d = np.zeros((len(y), 2, 4, 3))
         d[:, 0, 0] = d[:, 1, 1] = n
@@ -164,17 +164,17 @@ class Bending(Term):
         r = self.in_plane
         if r == 1:
             return self._nodal(self.stiffness[..., None] * self._combined(x, 2))
-        y, kappa = self._at(x)[:2]
+        y, kappa = self.at(x)[:2]
         if self.kernels:
-            return self._nodal(self.kernels.bending_forces(*self._at(x), self.stiffness, r))
-        force = np.einsum("sf,sfrc->src", (1 - r) * self.stiffness * kappa, self._slopes(x)[1])
+            return self._nodal(self.kernels.bending_forces(*self.at(x), self.stiffness, r))
+        force = np.einsum("sf,sfrc->src", (1 - r) * self.stiffness * kappa, self.slopes(x)[1])
         force[:, :2] += r * self.stiffness[..., None] * y[:, :2]
         return self._nodal(force)
 
     def _compiled(self, x: FloatArray, convex: bool, *where: FloatArray) -> None:
         """Compute stiffnesses, and put them where `compiled.bending_stiffness` does."""
         given = self.stiffness, self.in_plane, convex, self.rows, self.takers
-        self.kernels.bending_stiffness(*self._at(x), *given, *where)
+        self.kernels.bending_stiffness(*self.at(x), *given, *where)
 
     def add_hessian(
         self, values: FloatArray, x: FloatArray, state: None, convex: bool, slots: IntArray
@@ -194,8 +194,8 @@ class Bending(Term):
             H = np.empty((len(self.dofs), *self.dofs.shape[1:] * 2))
             self._compiled(x, convex, H, *self.kernels.NONE[1:])
             return H
-        (y, kappa, n, length), (q, d) = self._at(x), self._slopes(x)
-        u, v, count = y[:, 2], y[:, 3], len(y)
+        (y, kappa, n, length), (q, d) = self.at(x), self.slopes(x)
+        count = len(y)
         weight = (1 - r) * self.stiffness
         flat = d.reshape(count, 2, 12)
         H = flat.transpose(0, 2, 1) @ (weight[..., None] * flat)
@@ -203,20 +203,7 @@ class Bending(Term):
         diagonal[:, :6] = np.repeat(r * self.stiffness, 3, axis=1)
         H[:, np.arange(12), np.arange(12)] += diagonal
         if not convex:
-            # derivative of m = u x v: δm = -[v]x δu + [u]x δv
-            M = np.concatenate([-_skew(v), _skew(u)], axis=2)
-            P = (np.eye(3) - n[:, :, None] * n[:, None, :]) / length[:, None, None]
-            w = weight * kappa
-            for f in (0, 1):
-                mixed = w[:, f, None, None] * (P @ M)
-                H[:, 3 * f : 3 * f + 3, 6:] += mixed
-                H[:, 6:, 3 * f : 3 * f + 3] += mixed.transpose(0, 2, 1)
-            Q = np.einsum("sf,sfc->sc", w, q)  # Σ w q
-            nQ = n[:, :, None] * Q[:, None, :]
-            mm = -(nQ + nQ.transpose(0, 2, 1) + (w * kappa).sum(1)[:, None, None] * P)
-            H[:, 6:, 6:] += M.transpose(0, 2, 1) @ (mm / length[:, None, None]) @ M
-            H[:, 6:9, 9:] -= _skew(Q)
-            H[:, 9:, 6:9] += _skew(Q)
+            H += second_derivative(weight * kappa, y, kappa, n, length, q)
         return self.operator.transpose(0, 2, 1) @ H @ self.operator
 
 
@@ -256,6 +243,35 @@ class PatchBending(Bending):
                 rows[i, row, 1 : 1 + len(near)] = fit[term, :, None]
                 rows[i, row, 0] = -fit[term].sum()
         self._set(nodes, rows, np.zeros((n, 4, 3)), blank.node_areas)
+
+
+def second_derivative(
+    w: FloatArray,
+    y: FloatArray,
+    kappa: FloatArray,
+    n: FloatArray,
+    length: FloatArray,
+    q: FloatArray,
+) -> FloatArray:
+    """(m, 12, 12) second derivative of Σ w κ by k_warp, k_weft, u, v, with weights w (m, 2).
+
+    From what `Bending.at` and `Bending.slopes` return.
+    """
+    u, v, H = y[:, 2], y[:, 3], np.zeros((len(y), 12, 12))
+    # derivative of m = u x v: δm = -[v]x δu + [u]x δv, and of κ by it
+    M = np.concatenate([-_skew(v), _skew(u)], axis=2)
+    P = (np.eye(3) - n[:, :, None] * n[:, None, :]) / length[:, None, None]
+    for f in (0, 1):
+        mixed = w[:, f, None, None] * (P @ M)
+        H[:, 3 * f : 3 * f + 3, 6:] = mixed
+        H[:, 6:, 3 * f : 3 * f + 3] = mixed.transpose(0, 2, 1)
+    Q = np.einsum("sf,sfc->sc", w, q)
+    nQ = n[:, :, None] * Q[:, None, :]
+    mm = -(nQ + nQ.transpose(0, 2, 1) + (w * kappa).sum(1)[:, None, None] * P)
+    H[:, 6:, 6:] = M.transpose(0, 2, 1) @ (mm / length[:, None, None]) @ M
+    H[:, 6:9, 9:] -= _skew(Q)
+    H[:, 9:, 6:9] += _skew(Q)
+    return H
 
 
 def _neighbours(blank: Blank, family: str) -> tuple[IntArray, FloatArray]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..unknowns import FloatArray
-from .bending import Bending
+from .bending import Bending, second_derivative
 from .term import Term
 
 
@@ -36,49 +36,22 @@ class Softening(Term):
                 found[:, f] = getattr(law, quantity)(k) - linear
         return found * self.areas[:, None]
 
-    def _at(self, x: FloatArray) -> tuple[FloatArray, ...]:
-        """u, v, n (m, 3), |u x v|, κ (m, 2), its slopes by u x v (m, 2, 3) and all (m, 2, 12)."""
-        operator, constant = self.bending.operator, self.bending.constant
-        y = (operator @ x[self.dofs][:, :, None])[:, :, 0].reshape(-1, 4, 3) + constant
-        k, u, v = y[:, :2], y[:, 2], y[:, 3]
-        m = np.cross(u, v)
-        length = np.linalg.norm(m, axis=1)
-        n = m / length[:, None]
-        kappa = np.einsum("sfc,sc->sf", k, n)
-        q = (k - kappa[..., None] * n[:, None]) / length[:, None, None]
-        d = np.zeros((len(k), 2, 4, 3))
-        d[:, 0, 0] = d[:, 1, 1] = n
-        d[:, :, 2], d[:, :, 3] = np.cross(v[:, None], q), np.cross(q, u[:, None])
-        return u, v, n, length, kappa, q, d.reshape(-1, 2, 12)
-
     def energy(self, x: FloatArray, state: None = None) -> FloatArray:
-        return self._beyond(self._at(x)[4], "energy").sum(1)
+        return self._beyond(self.bending.curvature(x), "energy").sum(1)
 
     def gradient(self, x: FloatArray, state: None = None) -> FloatArray:
-        *_, kappa, _, d = self._at(x)
-        force = np.einsum("sf,sfr->sr", self._beyond(kappa, "stress"), d)
-        return (force[:, None] @ self.bending.operator)[:, 0]
+        stress = self._beyond(self.bending.curvature(x), "stress")
+        force = np.einsum("sf,sfrc->src", stress, self.bending.slopes(x)[1])
+        return (force.reshape(len(force), 1, -1) @ self.bending.operator)[:, 0]
 
     def hessian(self, x: FloatArray, state: None, convex: bool) -> FloatArray:
         """With `convex` zero: a fabric that softens is stiffest where it is flat."""
         if convex:
             return np.zeros((len(self.dofs), *self.dofs.shape[1:] * 2))
-        u, v, n, length, kappa, q, d = self._at(x)
-        H = d.transpose(0, 2, 1) @ (self._beyond(kappa, "stiffness")[..., None] * d)
-        # derivative of m = u x v: δm = -[v]x δu + [u]x δv, and of κ by it
-        cross = np.concatenate([-_skew(v), _skew(u)], axis=2)
-        P = (np.eye(3) - n[:, :, None] * n[:, None, :]) / length[:, None, None]
-        w = self._beyond(kappa, "stress")
-        for f in (0, 1):
-            mixed = w[:, f, None, None] * (P @ cross)
-            H[:, 3 * f : 3 * f + 3, 6:] += mixed
-            H[:, 6:, 3 * f : 3 * f + 3] += mixed.transpose(0, 2, 1)
-        Q = np.einsum("sf,sfc->sc", w, q)
-        nQ = n[:, :, None] * Q[:, None, :]
-        mm = -(nQ + nQ.transpose(0, 2, 1) + (w * kappa).sum(1)[:, None, None] * P)
-        H[:, 6:, 6:] += cross.transpose(0, 2, 1) @ (mm / length[:, None, None]) @ cross
-        H[:, 6:9, 9:] -= _skew(Q)
-        H[:, 9:, 6:9] += _skew(Q)
+        (y, kappa, n, length), (q, d) = self.bending.at(x), self.bending.slopes(x)
+        flat = d.reshape(len(d), 2, -1)
+        H = flat.transpose(0, 2, 1) @ (self._beyond(kappa, "stiffness")[..., None] * flat)
+        H += second_derivative(self._beyond(kappa, "stress"), y, kappa, n, length, q)
         return self.bending.operator.transpose(0, 2, 1) @ H @ self.bending.operator
 
 
@@ -87,10 +60,3 @@ def bending_terms(bending: Bending) -> list[Term]:
     fabric = bending.sheet.fabric
     curved = fabric.moment_warp is not None or fabric.moment_weft is not None
     return [bending, Softening(bending)] if curved else [bending]
-
-
-def _skew(w: FloatArray) -> FloatArray:
-    """(n, 3, 3) matrices [w]x with [w]x a = w x a."""
-    S = np.zeros((len(w), 3, 3))
-    S[:, 0, 1], S[:, 0, 2], S[:, 1, 2] = -w[:, 2], w[:, 1], -w[:, 0]
-    return S - S.transpose(0, 2, 1)

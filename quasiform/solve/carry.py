@@ -32,14 +32,14 @@ LAST = 1 / 16  # of an increment, followed on the other mesh
 def carry(source: Result, model: Model, settings: Settings, saddles: bool = True) -> Result:
     """Solve the end of a result on the mesh of another model of the same recipe.
 
-    Without `saddles` a saddle is not left, which is enough for an estimate.
-    The result has the way there as its `path`. NotConvergedError, with the `work` that it took, if
-    the end is not found.
+    Without `saddles` a saddle is not left, which is enough for an estimate. The result has the way
+    there as its `path`. NotConvergedError, with the `work` that it took, if the end is not found.
     """
     clock, path = time.perf_counter(), source.path or source
     equations = Equilibrium(model, settings.linear, settings.tolerance, max_iterations=MOST)
     run, end = Run(equations, settings), source.states[-1].travel
-    run.tries *= saddles
+    if not saddles:
+        run.tries = 0
     rows = [s for s in path.states if s.travel <= end - CARRIED * (1 - 1e-9)]
     row = (rows or path.states)[-1 if rows else 0]
     start, last = _start(model, path), source.last

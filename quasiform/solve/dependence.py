@@ -1,7 +1,7 @@
 """What the numbers of a run depend on: the mesh, and in-plane bending.
 
 The mesh: the same run on a coarser one, and its end carried to a finer one. In-plane bending: the
-run on the coarser mesh again, with another value, unless that adds next to nothing to the energy.
+run on the coarser mesh again, with another value, unless that hardly adds to the energy.
 """
 
 from __future__ import annotations
@@ -103,9 +103,8 @@ def _vary_in_plane(
     if not (bends and model.contacts and 0 < r < 1 and isinstance(given.get("fabric"), Fabric)):
         return
     other = min(OTHER * r, 1.0)
-    rate = sum(
-        term.by_in_plane(coarse.states[-1].x) for term in bends
-    )  # the change, to first order
+    # to first order
+    rate = sum(term.by_in_plane(coarse.states[-1].x) for term in bends)
     if (other - r) * rate < LITTLE * coarse.energy:
         return
     within = report(callback, f"the same with an in-plane bending of {other:g}")

@@ -39,7 +39,8 @@ class Journal:
     Parameters
     ----------
     out : path or Claim
-        Made if missing. Nobody else writes to it until the run is closed.
+        Made if missing. No other run writes to it until this one is closed; a claim is released
+        by who made it.
     options : dict, optional
         How the run was asked for, in numbers and text, for whoever continues it.
     force, resume : bool
@@ -60,8 +61,9 @@ class Journal:
         force: bool = False,
         resume: bool = False,
     ) -> None:
-        self._claim = out if isinstance(out, Claim) else Claim(out)
-        self.folder, self.options = self._claim.folder, options or {}
+        claim = out if isinstance(out, Claim) else Claim(out)
+        self._own = None if claim is out else claim  # who made it releases it
+        self.folder, self.options = claim.folder, options or {}
         self.recorded: dict[str, Any] = {}
         self.goal = ""  # what follows the travel, as a text
         self._rows = 0
@@ -216,7 +218,8 @@ class Journal:
         if not result.reason:
             with suppress(OSError):
                 (self.folder / RESUME).unlink(missing_ok=True)
-        self._claim.release()
+        if self._own:
+            self._own.release()
 
 
 def _recipe(run: Run) -> dict[str, Any] | None:

@@ -101,9 +101,9 @@ def solve(
     journal = out if isinstance(out, Journal) or out is None else Journal(out, resume=resume)
     result = follow(model, settings, callback, journal)
     if estimate and not result.reason:
-        if journal and estimate != "coarse":  # that takes a second or two
-            journal.keep(result)
         coarse = estimate == "coarse"
+        if journal and not coarse:  # a coarse run alone takes less than writing twice
+            journal.keep(result)
         coarser = coarser_run(result, settings, callback, vary=not coarse)
         result.judge(coarser, None if coarse else finer_end(result, settings, callback))
     if journal:

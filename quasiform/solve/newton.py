@@ -71,7 +71,7 @@ def minimise(
             tangent.forget()  # no tangent of this state
         stress = _foresee(equations, before, x)
         if stress is None and np.array_equal(x, before + d):
-            x, energy = _go_on(equations, x, energy, tolerance)
+            x, energy = _further(equations, x, energy, tolerance)
         energies = [*energies[-7:], energy]
         equations.check_slide(x)
     raise NotConvergedError(
@@ -80,10 +80,10 @@ def minimise(
     )
 
 
-def _go_on(
+def _further(
     equations: Equilibrium, x: FloatArray, energy: float, tolerance: float
 ) -> tuple[FloatArray, float]:
-    """Take further steps of the present factor while they lower the energy; x and that, mJ."""
+    """Take further steps with the present factor while they lower the energy; x and its energy."""
     for _ in range(FURTHER):
         g = equations.gradient(x)
         if equations.residual(g) < tolerance:
