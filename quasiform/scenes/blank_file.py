@@ -12,7 +12,7 @@ from ..net.blank import Blank
 from ..tools.grid import likely_unit
 from ..tools.mending import position
 from ..tools.shapes import FAR, Tool
-from ..tools.tool_file import ToolFile
+from ..tools.tool_file import ToolFile, box_of
 from .scene_file import SceneFile
 
 WIDE, NARROW = 15.0, 0.5  # of the driven tool: the model warns of a blank outside of these
@@ -40,12 +40,8 @@ def blank_from_file(
     lines += [(path.name, note) for note in notes]
     across = float(np.ptp(bounds, axis=0).max())
     for tool in tools:
-        box = (
-            from_files[tool.name].box
-            if tool.name in from_files
-            else getattr(tool.shape, "box", None)
-        )
-        wide = np.inf if box is None else float(np.ptp(np.asarray(box)[:, :2], axis=0).max())
+        box = box_of(tool, from_files)
+        wide = np.inf if box is None else float(np.ptp(box, axis=0).max())
         if tool.motion != "driven" or wide >= FAR or NARROW * wide < across < WIDE * wide:
             continue
         words = f"it is {across:.4g} mm wide beside a {tool.name} of {wide:.4g} mm"

@@ -14,7 +14,7 @@ import shapely
 from ..checks import InputError
 from ..tools.mending import position
 from ..tools.shapes import Tool
-from ..tools.tool_file import ToolFile
+from ..tools.tool_file import ToolFile, box_of, middle
 from .scene_file import SceneFile
 
 FloatArray = np.ndarray
@@ -39,13 +39,12 @@ def check_mechanics(
     sheet += " and has a hole" * bool(outline.interiors)
     gaps = {}
     for tool in (tool for tool in tools if tool.motion != "free"):
-        box = from_files[tool.name].box if tool.name in from_files else None
-        points = _points(tool, box, outline)
+        points = _points(box_of(tool, from_files), outline)
         gap = _least_gap(tool, points, thickness, travel)
-        gaps.setdefault(tool.motion, []).append((gap, tool.name, tool, box))
-    gap, name, tool, box = min(gaps["driven"], key=lambda found: found[0])
+        gaps.setdefault(tool.motion, []).append((gap, tool.name, tool))
+    gap, name, tool = min(gaps["driven"], key=lambda found: found[0])
     if gap > TOUCH * thickness:
-        at = position(np.array(tool.place) if box is None else box.mean(0)[:2])
+        at = position(middle(tool, from_files))
         words = f"within {travel:g} mm of travel it comes no nearer than {gap:.3g} mm"
         raise InputError(
             f"the {name} never meets the sheet: {words}; its middle is at {at}, {sheet}"
@@ -56,13 +55,11 @@ def check_mechanics(
         raise InputError(f"nothing holds the sheet under the {name}: {why}; {sheet}")
 
 
-def _points(tool: Tool, box: FloatArray | None, outline: shapely.Polygon) -> FloatArray:
-    """Points (n, 2) of the sheet: on its edge, and on a grid where the tool may be."""
+def _points(box: FloatArray | None, outline: shapely.Polygon) -> FloatArray:
+    """Points (n, 2) of the sheet: on its edge, and on a grid in the box where the tool may be."""
     low, high = np.reshape(outline.bounds, (2, 2))
-    if box is None and (own := getattr(tool.shape, "box", None)) is not None:
-        box = np.asarray(own)[:, :2] + tool.place
     if box is not None:
-        low, high = np.maximum(low, box[0, :2]), np.minimum(high, box[1, :2])
+        low, high = np.maximum(low, box[0]), np.minimum(high, box[1])
     grid = np.stack(np.meshgrid(*np.linspace(low, high, SAMPLES).T), axis=-1).reshape(-1, 2)
     edge = shapely.segmentize(outline.boundary, outline.length / SAMPLES)
     return np.vstack([shapely.get_coordinates(edge), grid[shapely.contains_xy(outline, grid)]])

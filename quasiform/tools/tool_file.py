@@ -164,16 +164,26 @@ def read(part: ToolPart, outline: shapely.Polygon, travel: float, thickness: flo
     return ToolFile(part, thickness, grid, vertices, len(triangles), notes, warnings)
 
 
+def middle(tool: Tool, files: Mapping[str, ToolFile]) -> FloatArray:
+    """(2,) middle of a tool seen along z, mm: of its box if it is from a file, else its place."""
+    return files[tool.name].box.mean(0)[:2] if tool.name in files else np.array(tool.place)
+
+
+def box_of(tool: Tool, files: Mapping[str, ToolFile]) -> FloatArray | None:
+    """(2, 2) box of a tool seen along z, mm, where its file or its shape has one."""
+    if tool.name in files:
+        return files[tool.name].box[:, :2]
+    own = getattr(tool.shape, "box", None)
+    return None if own is None else np.asarray(own)[:, :2] + tool.place
+
+
 def why_tight(driven: Tool, fixed: Tool, files: Mapping[str, ToolFile], thickness: float) -> str:
     """What is odd about tools from files that leave no room, and the line that corrects it."""
     named = [name for name in (driven.name, fixed.name) if name in files]
     for name in named:
         if files[name].warnings:
             return f"; {files[name].name}: {files[name].warnings[0]}"
-    middles = [
-        files[tool.name].box.mean(0)[:2] if tool.name in files else np.array(tool.place)
-        for tool in (driven, fixed)
-    ]
+    middles = [middle(tool, files) for tool in (driven, fixed)]
     off = middles[0] - middles[1]
     if not named or np.linalg.norm(off) < thickness:
         return ""
