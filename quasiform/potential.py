@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from scipy.sparse import csr_array
 
-from .energy.contact import AtPoints
 from .energy.term import Term, check_state, frozen, same
 from .unknowns import FloatArray, IntArray
 
@@ -64,8 +63,8 @@ class Potential:
         for i, (term, share) in enumerate(zip(self.terms, self._shares, strict=True)):
             if term.quadratic:
                 term.add_hessian(self._constant, at_rest, None, False, share.slots)
-            else:  # terms at the points of one contact are summed together
-                group = (id(share.dofs), AtPoints) if isinstance(term, AtPoints) else i
+            else:
+                group = (id(share.dofs), term.together) if term.together else i
                 groups.setdefault(group, []).append(i)
         self._groups = list(groups.values())
 

@@ -145,6 +145,7 @@ class AtPoints(Term):
     """An energy at the points of a contact, of which few act at a time."""
 
     selective = True
+    together = "at points of a contact"
     contact: Contact
 
     def acting(self, x: FloatArray, state: Any) -> Acting:

@@ -46,6 +46,8 @@ class Term:
     # as a last argument `rows`
     selective: bool = False
     foresees: bool = False  # `hessian` takes the `stress` that `foreseen_stress(x, dx)` returned
+    # terms of one such name that act on the same stencils are added together by `add_hessians`
+    together: str = ""
     # fields of the state that `refresh` brings to a fixed point, and that cannot be negative: the
     # solver may extrapolate them
     mixed: tuple[str, ...] = ()
@@ -107,7 +109,7 @@ class Term:
     def add_hessians(
         self, values: FloatArray, x: FloatArray, states: Sequence, *given: Any, **stress: Any
     ) -> None:
-        """Add those of terms of this class with the same stencils, pairs of term and state."""
+        """Add those of terms that go `together`, pairs of term and state; see `add_hessian`."""
         for term, state in states:
             term.add_hessian(values, x, state, *given, **stress)
 
