@@ -162,6 +162,9 @@ def test_expected_meshes_are_those_that_are_solved(monkeypatch):
     assert planned(whole, True) == [(12, dofs[0], path), *others]
     assert planned(whole, False) == planned(whole, True)  # it is too coarse for a path of its own
     assert planned(whole, True, seeds=2)[0][2] == 3 * path
+    assert planned(whole, True, estimate=False) == [(12, dofs[0], path)]
+    draft = [(12, dofs[0], path / 2), (pytest.approx(16.8), dofs[2], path / 2)]
+    assert planned(whole, True, increment=10.0, estimate="coarse") == draft
     scene = whole.including(lambda model: setattr(model, "coarsest", 24.0))
     found = planned(scene, False)
     assert found[0] == (pytest.approx(24), dofs[1], path)

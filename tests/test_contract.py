@@ -16,6 +16,7 @@ from examples.softening import SofteningYarns, stitched
 from quasiform.fingerprint import fingerprint
 from quasiform.potential import Potential
 from quasiform.scenes.scene_file import json_schema, load, scene_toml
+from quasiform.solve import tangent as tangent_module
 from quasiform.solve.equilibrium import Equilibrium
 from quasiform.solve.proximal import Bed
 
@@ -202,6 +203,51 @@ def test_stencils_may_change_while_a_term_is_added_for_the_time_being():
     fresh.take(equations.memory)
     fresh.factor(moved, True)
     assert_allclose(solved, fresh.tangent.solve(g), rtol=1e-6, atol=1e-9 * np.abs(solved).max())
+
+
+# The tangent
+
+
+def test_the_convex_tangent_gives_steps_of_the_exact_one():
+    """A compressed strip: the exact tangent is indefinite, the step goes down, and is counted."""
+    model = strip()
+    equations, x = Equilibrium(model), model.x0.copy()
+    dofs = model.sheet.dofs
+    x[dofs[:, 0]] *= 0.97
+    x += 1e-3 * np.random.default_rng(1).normal(size=len(x)) * equations.free
+    tangent, g = equations.tangent, equations.gradient(x)[equations.free]
+    assert equations.factor(x, False)[0] > 0
+    before = tangent.counts.copy()
+    tangent.restart()
+    with tangent.counted_as("balance"):
+        d = tangent.step(x, equations.memory, g)
+        assert g @ d < 0
+        assert tangent.counts - before == {"balance": 1, "balance, convex": 1}
+        again = tangent.step(x, equations.memory, g)  # the exact one is not tried again
+    assert_allclose(again, d, rtol=1e-9)
+    assert tangent.counts - before == {"balance": 1, "balance, convex": 2}
+    equations.factor(x, True)
+    slope = abs(g @ tangent.solve(g))
+    assert g @ d <= -slope  # the convex tangent is stiffer: its own step goes down by less
+
+
+def test_conjugate_gradients_solve_with_the_exact_tangent(monkeypatch):
+    monkeypatch.setattr(tangent_module, "FORCING", 1e-10)
+    model = strip()
+    equations, x = Equilibrium(model), model.x0.copy()
+    x += 1e-3 * np.random.default_rng(1).normal(size=len(x)) * equations.free
+    tangent, g = equations.tangent, equations.gradient(x)[equations.free]
+    assert equations.factor(x, False)[0] == 0
+    expected = -tangent.solve(g)
+    tangent._kept = 1  # as after an indefinite one
+    d = tangent.step(x, equations.memory, g)
+    assert_allclose(d, expected, atol=1e-6 * np.abs(expected).max())
+
+
+def test_every_factorisation_has_a_purpose():
+    result = qf.solve(qf.forming("hemisphere", size=20, travel=15), estimate=False)
+    assert sum(result.purposes.values()) == result.linear_solves
+    assert {"prediction", "balance", "friction", "check"} <= set(result.purposes)
 
 
 # The table of unknowns

@@ -880,6 +880,17 @@ def test_curvature_follows_the_fibres_of_a_sheared_sheet(gamma):
     assert_allclose(kappa[inside, 1], np.sin(g) ** 2 / R, rtol=1e-3)
 
 
+def test_derivative_of_the_bending_by_its_in_plane_fraction():
+    blank = rectangle(60.0, 40.0, 10.0)
+    energies = []
+    for r in (0.2, 0.5):
+        term = Bending(sheet_of(blank, replace(FABRIC, in_plane_bending=r)))
+        x = np.random.default_rng(2).normal(size=term.sheet.dofs.size)
+        energies.append(term.energy(x).sum())
+    assert term.by_in_plane(x) == pytest.approx((energies[1] - energies[0]) / 0.3, rel=1e-9)
+    assert term.by_in_plane(x) > 0
+
+
 def test_in_plane_curvature_is_resisted_by_its_fraction():
     """Fibres on circles in the plane: r B/(2 R²) per area of warp."""
     blank = rectangle(LENGTH, 4.0, LINE)

@@ -325,6 +325,17 @@ def test_trust_names_what_in_plane_bending_changes(full):
     assert not [s for s in full.summary()["trust"] if s.startswith("the force depends")]
 
 
+def test_a_coarse_estimate_is_wider_where_the_mesh_is_coarser_than_the_fillets():
+    for size, factor in ((12, 3.0), (5, 1.25)):  # .4 of the fillets is 10 mm
+        model = wide(size=size, travel=10)
+        result = qf.solve(model, estimate="coarse")
+        coarse = qf.solve(model.recipe.build(1.4 * size, like=model), estimate=False)
+        assert result.in_plane == {}
+        assert set(result.factorisations) == {f"{s:g} mm" for s in (size, 1.4 * size)}
+        expected = factor * abs(result.force - coarse.force) / 0.4
+        assert result.estimate["force_N"] == pytest.approx(expected, rel=1e-6)
+
+
 def pulled():
     return qf.solve(qf.off_axis_tension(45, displacement=10, size=20))
 

@@ -693,7 +693,8 @@ def _solve(
         return _run(model, journal)
     from . import forecast
 
-    found = forecast.meshes(model, one_mesh, solver.linear, seeds or 0)
+    how = model, one_mesh, solver.linear, seeds or 0, increment, estimate
+    found = forecast.meshes(*how)
     lines = [terminal.describe(model), f"  expected time: {forecast.words(found)}"]
     if accuracy:
         lines.append("  and longer where --accuracy asks for a finer mesh than that")

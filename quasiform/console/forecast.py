@@ -38,20 +38,28 @@ class Mesh(NamedTuple):
 
 
 def meshes(
-    model: Model, one_mesh: bool, linear: str = "auto", seeds: int = 0
+    model: Model,
+    one_mesh: bool,
+    linear: str = "auto",
+    seeds: int = 0,
+    increment: float | None = None,
+    estimate: bool | str = True,
 ) -> tuple[Mesh, ...] | None:
     """Meshes that a run will solve; None where the model has no tangent at its start.
 
     With `one_mesh` the whole path is on the model's mesh, as `solve` does, else its end only, as
-    `refine` does; `seeds` perturbed runs of the path come after it.
+    `refine` does; `seeds` perturbed runs of the path come after it. Increment (mm) and estimate are
+    those of `solve`.
     """
-    path = (WITH_TOOLS if model.contacts else IN_PLANE) * max(model.travel / model.increment, 1.0)
+    increments = model.travel / max(increment or 0.0, model.increment)
+    path = (WITH_TOOLS if model.contacts else IN_PLANE) * max(increments, 1.0)
     models = [model] if one_mesh else levels.meshes(model)
     solves = [path * (1 + seeds), *[CARRIED] * (len(models) - 1)]
     with suppress(InputError):  # too coarse for the blank, or the user's own mesh
-        if not model.changed:  # for the error of the mesh, and what depends on in-plane bending
-            again = 2 if model.contacts else 1
-            others = [(COARSER, again * path), *[(FINER, CARRIED)] * (len(models) == 1)]
+        if estimate and not model.changed:
+            again = 2 if model.contacts and estimate is True else 1  # in-plane bending
+            others = [(COARSER, again * path)]
+            others += [(FINER, CARRIED)] * (len(models) == 1 and estimate is True)
             for ratio, count in others:
                 models.append(model.recipe.build(ratio * models[0].size, like=model))
                 solves.append(count)
