@@ -18,6 +18,8 @@ is Euler's stress of a clamped strip, 4π² B/(t0 L²).
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from ..energy.bending import Bending
@@ -125,6 +127,15 @@ def _critical(stiffness: float, stress: FloatArray) -> FloatArray:
     return 2.0 * np.pi * np.sqrt(stiffness / stress)
 
 
+@lru_cache(maxsize=8)  # the same for all states of a run
+def _squares(blank: Blank, x: float, y: float) -> tuple[np.ndarray, np.ndarray]:
+    """Squares (n, 2) along a fibre (x, y), row by row, and the square of each triangle."""
+    axes = np.array([[-y, x], [x, y]])
+    place = np.floor(blank.centroids @ axes.T / blank.size + 1e-6).astype(int)
+    squares, index = np.unique(place, axis=0, return_inverse=True)
+    return squares, index.ravel()
+
+
 def _runs(
     blank: Blank, along: FloatArray, stress: FloatArray, where: np.ndarray
 ) -> tuple[FloatArray, FloatArray]:
@@ -133,10 +144,7 @@ def _runs(
     The sheet is cut into squares of its size. A run is a row of squares in most of which `where` is
     true and whose mean (n_triangles,) `stress` is positive; elsewhere both are nan.
     """
-    axes = np.array([[-along[1], along[0]], along])
-    place = np.floor(blank.centroids @ axes.T / blank.size + 1e-6).astype(int)
-    squares, index = np.unique(place, axis=0, return_inverse=True)
-    index = index.ravel()
+    squares, index = _squares(blank, *along)
     area = np.bincount(index, blank.areas)
     mean = np.bincount(index, blank.areas * stress * where) / area
     inside = (np.bincount(index, blank.areas * where) > 0.5 * area) & (mean > 0)

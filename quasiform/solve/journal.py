@@ -202,7 +202,7 @@ class Journal:
         """Write a result whose error is not estimated yet; `quasiform resume` estimates it."""
         try:
             with added(self.folder, instead=() if self._rows else FILES) as staging:
-                result.write(staging)
+                result.write(staging, since=max(self._rows - 1, 0))  # those before are there
             self._rows = len(result.states)
             if result.model.outputs["pictures"]:
                 with added(self.folder) as staging:
