@@ -16,6 +16,7 @@ from examples.softening import SofteningYarns, stitched
 from quasiform.fingerprint import fingerprint
 from quasiform.potential import Potential
 from quasiform.scenes.scene_file import json_schema, load, scene_toml
+from quasiform.solve import newton
 from quasiform.solve import tangent as tangent_module
 from quasiform.solve.equilibrium import Equilibrium
 from quasiform.solve.proximal import Bed
@@ -245,9 +246,19 @@ def test_conjugate_gradients_solve_with_the_exact_tangent(monkeypatch):
 
 
 def test_every_factorisation_has_a_purpose():
-    result = qf.solve(qf.forming("hemisphere", size=20, travel=15), estimate=False)
+    result = qf.solve(qf.forming("hemisphere", size=10, travel=20), estimate=False)
     assert sum(result.purposes.values()) == result.linear_solves
-    assert {"prediction", "balance", "friction", "check"} <= set(result.purposes)
+    assert {"prediction", "balance", "friction", "check", "refused"} <= set(result.purposes)
+
+
+def test_further_steps_of_one_factor_save_factorisations(monkeypatch):
+    def solves():
+        model = qf.forming("hemisphere", size=10, travel=40)
+        return qf.solve(model, estimate=False).linear_solves
+
+    few = solves()
+    monkeypatch.setattr(newton, "FURTHER", 0)
+    assert few < solves()
 
 
 # The table of unknowns
