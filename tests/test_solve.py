@@ -198,11 +198,12 @@ def test_a_scene_by_hand_needs_no_size():
     assert qf.solve(scene).force == pytest.approx(qf.solve(ready).force, rel=1e-9)
 
 
-def test_a_motion_without_stiffness_stops_with_the_reason():
+@pytest.mark.parametrize("linear", ["auto", "superlu"])
+def test_a_motion_without_stiffness_stops_with_the_reason(linear):
     scene = qf.off_axis_tension(displacement=5, size=40)
     scene.fixed[:] = False  # nothing is held
     scene.fixed[0] = True
-    result = qf.solve(scene, estimate=False)
+    result = qf.solve(scene, estimate=False, linear=linear)
     assert result.status == "stopped"
     assert result.reason.startswith("at 0 of 5: ")
     assert not result.certified

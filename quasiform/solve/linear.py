@@ -14,6 +14,7 @@ from ..checks import InputError, suggestion
 from ..unknowns import FloatArray
 
 NAMES = ("auto", "pardiso", "superlu")
+ROUND_OFF = 1e-13  # of the diagonal: what is left of a pivot that should be zero (sheets: 1e-6)
 
 
 class NotConvergedError(ArithmeticError):
@@ -110,10 +111,12 @@ class SuperLU:
             self._factor = splu(matrix, "NATURAL", diag_pivot_thresh=0.0, options=options)
         except RuntimeError as error:
             raise SingularMatrixError(f"the tangent is singular: {error}") from error
-        if (self._factor.perm_r != np.arange(n)).any():
+        pivots = self._factor.U.diagonal()
+        lost = np.abs(pivots) <= ROUND_OFF * np.abs(matrix.diagonal())
+        if lost.any() or (self._factor.perm_r != np.arange(n)).any():
             # the signs would not be the inertia
             raise SingularMatrixError("the tangent is singular: a pivot is zero")
-        return int((self._factor.U.diagonal() < 0).sum())
+        return int((pivots < 0).sum())
 
     def solve(self, b: FloatArray) -> FloatArray:
         x = np.empty_like(b)
