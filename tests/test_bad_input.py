@@ -124,7 +124,7 @@ OUTCOMES: Counter[tuple[str, str]] = Counter()
 def told():
     """Report the outcomes at the end (pytest -s); loops are compiled before time is limited."""
     for file in ("hemisphere", replace(load("hemisphere"), mesh="free")):
-        qf.solve(qf.forming(file, size=40, travel=1), estimate=False)
+        qf.solve(qf.forming(file, size=30, travel=1), estimate=False)
     qf.solve(qf.off_axis_tension(size=80, displacement=1), estimate=False)
     yield
     for (test, outcome), number in sorted(OUTCOMES.items()):

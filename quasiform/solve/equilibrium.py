@@ -47,7 +47,8 @@ class Equilibrium:
         self.memory = tuple(check_term(term, model.x0) for term in model.terms)
         self.potential = Potential(model.terms, self.free, self.memory)
         places = model.unknowns.places()[self.free]
-        self.tangent = Tangent(self.potential, places, self.linear, self.convex)
+        held = not model.contacts
+        self.tangent = Tangent(self.potential, places, self.linear, self.convex, held)
         self.mixed = [(i, name) for i, term in enumerate(model.terms) for name in term.mixed]
         self.mesh_size = min(sheet.blank.size for sheet in model.sheets)
         self.least_force = max(LEAST_FORCE, round_off(model) / self.tolerance)

@@ -31,11 +31,14 @@ class SingularMatrixError(NotConvergedError):
     """The matrix cannot be factorised: a motion without stiffness."""
 
 
-def linear_solver(name: str, pattern: csr_array, points: FloatArray) -> Pardiso | SuperLU:
+def linear_solver(
+    name: str, pattern: csr_array, points: FloatArray, held: bool = False
+) -> Pardiso | SuperLU:
     """Return the linear solver of that name (of `NAMES`) for a fixed upper-triangular pattern.
 
     "auto" takes PARDISO if it is installed, else SuperLU, which orders the unknowns by their flat
-    points (n, 2), mm; those without one (nan) are eliminated last. Raises InputError for an
+    points (n, 2), mm; those without one (nan) are eliminated last. A sheet that is `held` has no
+    motion without stiffness; one between tools may, until they touch it. Raises InputError for an
     unknown name, or "pardiso" where it is not installed.
     """
     if name not in NAMES:
@@ -48,7 +51,7 @@ def linear_solver(name: str, pattern: csr_array, points: FloatArray) -> Pardiso 
                 raise InputError(
                     "linear solver 'pardiso' is not installed: pip install 'quasiform[fast]'"
                 ) from error
-    return SuperLU(pattern, points)
+    return SuperLU(pattern, points, held)
 
 
 class Pardiso:
@@ -85,7 +88,8 @@ class SuperLU:
 
     name = "superlu"
 
-    def __init__(self, pattern: csr_array, points: FloatArray) -> None:
+    def __init__(self, pattern: csr_array, points: FloatArray, held: bool = False) -> None:
+        self.held = held
         n = pattern.shape[0]
         upper = pattern.tocoo()
         row, column = upper.row, upper.col
@@ -113,7 +117,8 @@ class SuperLU:
             raise SingularMatrixError(f"the tangent is singular: {error}") from error
         pivots = self._factor.U.diagonal()
         lost = np.abs(pivots) <= ROUND_OFF * np.abs(matrix.diagonal())
-        if lost.any() or (self._factor.perm_r != np.arange(n)).any():
+        held = self.held and lost.any()
+        if held or (self._factor.perm_r != np.arange(n)).any():
             # the signs would not be the inertia
             raise SingularMatrixError("the tangent is singular: a pivot is zero")
         return int((pivots < 0).sum())

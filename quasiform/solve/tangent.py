@@ -20,7 +20,7 @@ from scipy.sparse import csr_array
 
 from ..potential import Memory, Potential
 from ..unknowns import FloatArray
-from .linear import SingularMatrixError, linear_solver
+from .linear import Pardiso, SingularMatrixError, SuperLU, linear_solver
 
 KEPT = 8  # further steps with the convex tangent before the exact one is tried again
 FORCING = 0.1  # residual of the conjugate gradients relative to the first, in their own norm
@@ -30,17 +30,23 @@ MOST = 30  # of their iterations
 class Tangent:
     """The tangent of a potential, with the linear solver of that name.
 
-    `places` (n_free, 2) of the free unknowns are flat, mm; nan without one.
+    `places` (n_free, 2) of the free unknowns are flat, mm; nan without one. `held` as in `linear`.
     """
 
-    def __init__(self, potential: Potential, places: FloatArray, linear: str, convex: str) -> None:
+    def __init__(
+        self, potential: Potential, places: FloatArray, linear: str, convex: str, held: bool = False
+    ) -> None:
         self.potential, self.convex = potential, convex
-        self._places, self._linear = places, linear
-        self.solver = linear_solver(linear, potential.pattern, places)
+        self._given = linear, places, held
+        self.solver = self._solver()
         self.counts: Counter[str] = Counter()  # factorisations by purpose
         self.convex_taken = self._kept = 0
         self._purpose = ""
         self._factored: tuple[FloatArray, bool, int] | None = None
+
+    def _solver(self) -> Pardiso | SuperLU:
+        linear, places, held = self._given
+        return linear_solver(linear, self.potential.pattern, places, held)
 
     @property
     def factorisations(self) -> int:
@@ -64,7 +70,7 @@ class Tangent:
     def follow(self, memory: Memory) -> None:
         """Take over changed states, and analyse the pattern anew where it has grown."""
         if self.potential.follow(memory):
-            self.solver = linear_solver(self._linear, self.potential.pattern, self._places)
+            self.solver = self._solver()
         self._factored = None
 
     def forget(self) -> None:
@@ -81,7 +87,7 @@ class Tangent:
         same = np.array_equal(old.indptr, new.indptr) and np.array_equal(old.indices, new.indices)
         self.potential, self._factored = potential, None
         if not same:
-            self.solver = linear_solver(self._linear, new, self._places)
+            self.solver = self._solver()
 
     def factor(
         self, x: FloatArray, memory: Memory, convex: bool, **given: FloatArray | None
