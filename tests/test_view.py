@@ -90,8 +90,8 @@ def test_words(formed, pulled):
     words = view.words(formed.record)
     assert "hemisphere-45" in words
     assert f"{np.abs(formed.shear_angle).max():.1f}°" in words
-    assert ", converged, but not certified: a fibre cuts" in words
-    assert "converged, but not certified: collapsed" in view.words(pulled.record)
+    assert ", converged; trust limited: a fibre cuts" in words
+    assert "converged; trust limited: collapsed" in view.words(pulled.record)
 
 
 def test_refusals(formed, monkeypatch, tmp_path):
