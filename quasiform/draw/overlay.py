@@ -80,7 +80,7 @@ def tool_faces(run: Record) -> Iterator[tuple[str, str, FloatArray, FloatArray, 
     contacts, turn, _ = _tools(run)
     x, y = _grid(run, FACE, BEYOND)
     reach = 2.0 * max(np.ptp(x), run.goal)
-    for contact in contacts:
+    for contact in {contact.tool.name: contact for contact in contacts}.values():
         down = contact.tool.motion == "fixed"
         z = np.full((FACE, FACE), reach if down else -reach)
         for _ in range(STEPS):

@@ -130,10 +130,9 @@ def doubt_figure(run: Record) -> Figure:
     sheet, areas = run.sheet, run.sheet.flat_areas
     faces = np.tile(to_rgba(TRUSTED), (len(sheet.triangles), 1))
     doubts, handles, advice = sheet.doubts(), [], []
-    for reason, (colour, words, remedy) in DOUBTS.items():
+    for reason, (colour, label, remedy) in limits_of(run).items():
         faces[doubts[reason]] = to_rgba(colour)
         share = 100 * areas @ doubts[reason] / areas.sum()
-        label = words.format(range=run.fabric.get("shear_range", np.nan), slip=SLIP_GRADIENT)
         handles.append(Patch(facecolor=colour, label=f"{label}: {share:.1f} %"))
         if doubts[reason].any():
             advice.append(f"{label.split(':')[0]}: {remedy}")
@@ -149,9 +148,19 @@ def doubt_figure(run: Record) -> Figure:
     for heading, entries in found.items():
         lines += [f"{heading}:", *(textwrap.fill(f"– {e}", 58) for e in entries or ["none"]), ""]
     words = "\n".join(lines)
-    key.text(0.0, 0.62, words, va="top", fontsize=7, linespacing=1.5, parse_math=False)
+    look = {"va": "top", "fontsize": 7, "linespacing": 1.5, "in_layout": False}
+    key.text(0.0, 0.62, words, parse_math=False, **look)
     figure.suptitle(_title(run), parse_math=False)
     return figure
+
+
+def limits_of(run: Record) -> dict[str, tuple[str, str, str]]:
+    """Colour, meaning and advice of each of the limits of the shear angle."""
+    numbers = {"range": run.fabric.get("shear_range", np.nan), "slip": SLIP_GRADIENT}
+    return {
+        reason: (colour, words.format(**numbers), advice)
+        for reason, (colour, words, advice) in DOUBTS.items()
+    }
 
 
 def history_figure(run: Record) -> Figure:
