@@ -3,11 +3,14 @@
 import base64
 import gzip
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import quasiform as qf
+from quasiform.checks import number
+from quasiform.draw import page as one_page
 from quasiform.draw import view
 from quasiform.draw.plot import SCALES
 from tests.chromium import opened, program
@@ -94,6 +97,33 @@ def test_words(formed, pulled):
     assert f"{np.abs(formed.shear_angle).max():.1f}°" in words
     assert ", converged; trust limited: a fibre cuts" in words
     assert "converged; trust limited: collapsed" in view.words(pulled.record)
+
+
+def test_one_page_summary(formed, tmp_path):
+    """It leads with what limits the numbers, and has every key number with its error."""
+    result = replace(formed, estimate={"force_N": 112.3, "shear_angle_deg": 0.5})
+    html, pdf = one_page.save(result.record, tmp_path / "page.html")
+    text = html.read_text(encoding="utf-8")
+    assert pdf.read_bytes().startswith(b"%PDF")
+    assert "<b>Converged</b>: it is a stable equilibrium" in text
+    limits = [at for at in map(text.find, result.record.limits) if at > 0]
+    assert len(limits) >= 2
+    assert limits == sorted(limits)  # the worst first
+    assert max(limits) < text.find("Key numbers")
+    assert f"{number(result.force)} ± 110 N" in text
+    assert f"{np.abs(result.shear_angle).max():.4g}" in text
+    assert "tools.holder.mass" in text  # assumed
+    assert text.count("data:image/png;base64,") == 3
+    assert "http" not in text
+
+
+@pytest.mark.skipif(program() is None, reason="no Chromium on this machine")
+def test_one_page_summary_does_not_scroll_sideways(formed, tmp_path):
+    pytest.importorskip("websocket")
+    html, _ = one_page.save(formed.record, tmp_path / "page.html")
+    with opened(html, tmp_path / "profile", 420, 900) as page:
+        assert page.value("document.documentElement.scrollWidth") <= 420
+        assert not page.errors
 
 
 def test_refusals(formed, monkeypatch, tmp_path):

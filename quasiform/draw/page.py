@@ -7,6 +7,7 @@ errors, three pictures, and what was assumed.
 from __future__ import annotations
 
 import base64
+import re
 import textwrap
 from io import BytesIO
 from pathlib import Path
@@ -85,7 +86,7 @@ def _numbers(
     gamma = summary["shear_angle_deg"]
     found = [
         (spoken(force), summary[force], force, force.rpartition("_")[2]),
-        ("shear angle, not exceeded on 99 % of the area", gamma["p99"], "shear_angle_deg", "°"),
+        ("shear angle, 99 % of the area is below", gamma["p99"], "shear_angle_deg", "°"),
         ("largest shear angle, in one triangle", gamma["max"], "", "°"),
         ("mean shear angle", gamma["mean"], "shear_angle_mean_deg", "°"),
     ]
@@ -94,7 +95,12 @@ def _numbers(
             if value is not None:
                 found.append((spoken(form.format(name)), value, form.format(name), unit))
     return [
-        (name.removeprefix("the "), value, errors.get(error), unit)
+        (
+            re.sub(" -(?=[xy]$)", " −", name.removeprefix("the ")),
+            value,
+            errors.get(error),
+            unit,
+        )
         for name, value, error, unit in found
     ]
 
@@ -145,7 +151,7 @@ def _on_paper(found: dict[str, Any], pictures: dict[str, bytes]) -> Figure:
         for k, (name, caption) in enumerate(PICTURES.items()):
             axes = page.add_axes((0.07, top - (k + 1) * room, 0.86, room - 0.022))
             axes.imshow(imread(BytesIO(pictures[name])), interpolation="lanczos")
-            axes.set_title(caption, loc="left", fontsize=8.5, weight="bold")
             axes.axis("off")
+            page.text(0.07, top - k * room - 0.004, caption, size=8.5, weight="bold", **look)
         page.text(0.07, 0.065, textwrap.fill(assumed, 125), size=7.5, **look)
     return page

@@ -596,7 +596,10 @@ def draw_force(
         axes.plot(travel[n - 1 :], force[n - 1 :], **faded, label=tail)
     if (error := run.history.get(f"force_error_{run.force_unit}")) is not None:
         bars = {"ecolor": look["color"], "elinewidth": 0.7, "capsize": 1.5, "fmt": "none"}
-        axes.errorbar(travel[first:n], force[first:n], error[first:n], **bars, clip_on=False)
+        axes.errorbar(travel[first:n], force[first:n], error[first:n], **bars)
+        if axes.get_yscale() == "linear":
+            high = (f[first:n].max(initial=0.0) for f in (force + error, 1.5 * force))
+            axes.set_ylim(top=max(axes.get_ylim()[1], 1.05 * min(high)))
     if coarse.any():
         hollow = {**marks, "color": look["color"], "markerfacecolor": "white", "linestyle": ""}
         axes.plot(travel[first:n][coarse], force[first:n][coarse], **hollow)
