@@ -153,9 +153,8 @@ def figure(done: Sequence[Case]) -> Figure:
         axes.plot(
             [row.ratio for row in rows], [k] * len(rows), "o", ms=5, color="#4b2991", alpha=0.7
         )
-    axes.set_yticks(
-        range(len(found)), [textwrap.fill(name, 48) for (_, name), _ in found], fontsize=8
-    )
+    names = [textwrap.fill(name, 48) for (_, name), _ in found]
+    axes.set_yticks(range(len(found)), names, fontsize=8)
     axes.set_xscale("log")
     ticks = (0.2, 0.5, 1, 2, 5, 10)
     low, high = axes.get_xlim()
