@@ -258,9 +258,10 @@ def test_the_report_leads_with_agreement_with_measurement():
     """Good and bad, in numbers; what the model was given and bounds on errors do not count."""
     rows = [measured(9.5, 10.0), measured(57.0, 10.0), measured(None, 10.0), measured(3.0, None)]
     rows += [measured(10.0, 10.0, standing="input"), measured(0.5, 1.0, "max")]
+    rows.append(measured(10.3, 10.0))
     case = Case("formed", rows=tuple(rows))
     assert headline([case]).replace("\u00a0", " ") == (
-        "2 numbers were compared with measurements, in 1 case: 1 of them differ by at most 10 %, "
+        "3 numbers were compared with measurements, in 1 case: 2 of them differ by at most 10 %, "
         "half of them by at most 5 %, the worst by a factor of 5.7. "
         "1 measured values are not published yet."
     )
