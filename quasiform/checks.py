@@ -29,6 +29,17 @@ def force_column(travel: str) -> str:
     return "force_N" if travel.endswith("_mm") else "load_work_mJ"
 
 
+def number(value: float, digits: int = 4) -> str:
+    """A number to some significant digits, without an exponent where people write none.
+
+    Examples
+    --------
+    >>> number(112.3, 2), number(0.01234), number(123456.0)
+    ('110', '0.01234', '123500')
+    """
+    return f"{float(f'{value:.{digits}g}'):.15g}"
+
+
 class InputError(ValueError):
     """Wrong input; the message is one line for the user (exit status 2 on the command line).
 

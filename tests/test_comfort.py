@@ -13,6 +13,7 @@ from types import SimpleNamespace
 import pytest
 
 import quasiform as qf
+from quasiform.checks import number
 from quasiform.comparison import comparison
 from quasiform.console import cli, doctor, forecast, terminal
 from quasiform.console.cli import main
@@ -297,7 +298,7 @@ def test_the_schema_of_a_scene_is_printed(capsys):
 
 
 def test_numbers_are_printed_as_people_write_them():
-    found = [terminal.number(x, 2) for x in (112.3, 0.01234, 123456.0, 8.0, 0.0)]
+    found = [number(x, 2) for x in (112.3, 0.01234, 123456.0, 8.0, 0.0)]
     assert found == ["110", "0.012", "120000", "8", "0"]
 
 

@@ -665,8 +665,8 @@ def test_bands(result, tmp_path):
     for name, value in (("band_angle", 0.9), ("band_force", 9.0)):
         missed = compare(result, tmp_path / "other", **bands | {name: value})
         assert not missed.held
-        assert "MISSED" in missed.table()
-        assert "MISSED" in missed.markdown()
+        assert "OUTSIDE" in missed.table()
+        assert "OUTSIDE" in missed.markdown()
         table = [line for line in missed.markdown().splitlines() if line.startswith("| ")]
         assert all(line.replace(r"\|", "").count("|") == 9 for line in table)
 
@@ -683,7 +683,7 @@ def test_files(result, tmp_path):
         rows = {row["quantity"]: row for row in csv.DictReader(file)}
     assert float(rows[MEAN]["difference"]) == pytest.approx(-1.0, abs=0.02)
     assert rows[MEAN]["standing"] == "measured"
-    assert rows["difference of |γ|, 95th percentile"]["held"] == "MISSED"
+    assert rows["difference of |γ|, 95th percentile"]["held"] == "OUTSIDE"
     field = meshio.read(tmp_path / "out" / "difference.vtu").point_data["shear_angle_difference"]
     np.testing.assert_allclose(field, -1.0, atol=0.05)
     assert (tmp_path / "out" / "difference.png").read_bytes()[:4] == b"\x89PNG"

@@ -103,23 +103,54 @@ def test_settings_of_matplotlib_are_left_alone(results, tmp_path):
 
 def test_stopped_run_is_marked(results):
     result = results["off-axis"]
-    states = [state for state in result.states if state.travel <= 5.0]
-    stopped = replace(result, states=states, reason="line search failed")
+    stopped = replace(result, states=result.states[:2], reason="line search failed")
+    end = stopped.states[-1].travel
     for shown, times in ((result, 0), (stopped, 1)):
         for axes in plot.history_figure(shown.record).axes:
             marks = [line for line in axes.get_lines() if line.get_marker() == "X"]
-            assert [list(m.get_xdata()) for m in marks].count([5.0]) == times
+            assert [list(m.get_xdata()) for m in marks].count([end]) == times
     (axes, _) = plot.history_figure(stopped.record).axes
-    assert "stopped at 5 mm" in axes.get_legend_handles_labels()[1]
+    assert f"stopped at {end:g} mm" in axes.get_legend_handles_labels()[1]
     assert axes.get_xlim()[1] > 10
+
+
+def test_marks_of_a_coarser_mesh_are_hollow_and_the_step_to_the_end_is_dotted(results):
+    run = results["off-axis"].record
+    rows = len(run.history["displacement_mm"])
+    history = dict(run.history) | {
+        "size_mm": np.array([56.0] * (rows - 1) + [40.0]),
+        "force_error_N": np.full(rows, 0.1),
+    }
+    (axes, _) = plot.history_figure(replace(run, history=history)).axes
+    hollow = [line for line in axes.lines if line.get_markerfacecolor() == "white"]
+    assert max(len(line.get_xdata()) for line in hollow) == rows - 1
+    (step,) = (line for line in axes.lines if line.get_linestyle() == ":")
+    assert step.get_xdata().tolist() == run.history["displacement_mm"][-2:].tolist()
+    words = axes.get_legend_handles_labels()[1]
+    assert {"path, 56 mm mesh", "end, 40 mm mesh", "mesh error"} <= set(words)
+
+
+def test_form_draws_tools_and_the_locking_angle(results):
+    run = results["formed"].record
+    axes = Figure().subplots()
+    handles = plot._draw_tools(axes, run)
+    assert [handle.get_label() for handle in handles] == ["punch", "die"]
+    fabric = dict(run.parameters["fabric"])
+    fabric["shear"] = fabric["shear"] | {"I_lo": float(np.sin(np.radians(0.5)))}
+    summary = run.summary | {"parameters": run.parameters | {"fabric": fabric}}
+    plot.draw_locking(axes, replace(run, summary=summary))
+    assert any(len(c.get_segments()) for c in axes.collections if hasattr(c, "get_segments"))
+    bar = Figure().subplots()
+    plot.mark_locking(bar, [run], 60.0)
+    assert [text.get_text() for text in bar.texts] == ["locking 55°"]
 
 
 def test_force_after_a_collapse_is_set_apart(results):
     result = replace(results["off-axis"], collapse={"travel_mm": 10.0})
     (axes, _) = plot.history_figure(result.record).axes
     sound, after = axes.get_lines()[:2]
-    assert sound.get_xdata().max() == 7.5  # the last row before
-    assert (after.get_xdata().min(), after.get_xdata().max()) == (7.5, 10.0)
+    assert sound.get_xdata().max() == result.states[-2].travel
+    assert (after.get_xdata().min(), after.get_xdata().max()) == (result.states[-2].travel, 10.0)
     assert "not meaningful" in after.get_label()
 
 
@@ -156,8 +187,11 @@ def test_doubts_are_painted_by_reason(results):
         assert 0 < flag.sum() == np.isclose(colours, to_rgb(colour), atol=1e-6).all(1).sum()
     words = [text.get_text() for text in key.get_legend().get_texts()]
     share = 100 * result.blank.areas @ doubts["beyond_identified_range"] / 310.0**2
-    assert f"beyond 0.5°: law not identified: {share:.1f} %" in words
-    assert "nothing against it" in words
+    assert f"beyond 0.5°: not tested: {share:.1f} %" in words
+    assert "no limit was found" in words
+    (advice,) = (text.get_text() for text in key.texts)
+    assert "– beyond 0.5°: do not use these angles" in advice
+    assert "collapsed" not in advice  # there is none
     assert len(words) == 1 + len(doubts)
 
 

@@ -13,7 +13,7 @@ from PIL import Image
 
 import quasiform as qf
 from quasiform.console.cli import main
-from quasiform.draw import pictures, view
+from quasiform.draw import overlay, pictures, view
 from quasiform.result.record import Record
 
 
@@ -64,7 +64,7 @@ def test_nearest_state(pair):
 def test_level_lines_of_a_linear_function_are_straight_and_whole():
     blank = qf.off_axis_tension(30, size=20).sheet.blank
     x, along = blank.nodes, np.array([0.6, 0.8])
-    lines = pictures.level_lines(x, blank.triangles, x @ along, [100.0])
+    lines = overlay.level_lines(x, blank.triangles, x @ along, [100.0])
     assert_allclose(lines @ along, 100.0)
     low = x.min(0)
     cut = [(100 - 0.8 * y) / 0.6 for y in (low[1], low[1] + 160)]
@@ -76,7 +76,7 @@ def test_level_lines_of_a_linear_function_are_straight_and_whole():
 def test_level_lines_on_the_lines_of_a_mesh_are_drawn_once():
     x = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1], [2, 0], [2, 1]])
     triangles = np.array([[0, 1, 2], [0, 2, 3], [1, 4, 5], [1, 5, 2]])
-    lines = pictures.level_lines(x, triangles, x[:, 0], [1.0])
+    lines = overlay.level_lines(x, triangles, x[:, 0], [1.0])
     assert np.linalg.norm(np.diff(lines, axis=1), axis=2).sum() == pytest.approx(1.0)
 
 
@@ -142,7 +142,7 @@ def test_one_scale_for_all_that_reaches_the_locking_angle(folders):
 
 def test_tools_are_cut_where_they_are(folders):
     root, _ = folders
-    cuts, why_not = pictures.tool_cuts(Record.read(root / "dome"))
+    cuts, why_not = overlay.tool_cuts(Record.read(root / "dome"))
     assert why_not == ""
     assert list(cuts) == ["punch, cut at z = 0", "die, cut at z = -20 mm"]
     for words, radius in (("punch", np.sqrt(75**2 - (75 - 40 + 1.004) ** 2)), ("die", 80.0)):
@@ -150,7 +150,7 @@ def test_tools_are_cut_where_they_are(folders):
         inside = (d < 0) if words == "punch" else (d > 0)
         area = inside.sum() * (x[1] - x[0]) * (y[1] - y[0])
         assert np.sqrt(area / np.pi) == pytest.approx(radius, rel=0.02)
-    assert pictures.tool_cuts(Record.read(root / "strip")) == ({}, "")
+    assert overlay.tool_cuts(Record.read(root / "strip")) == ({}, "")
 
 
 def test_missing_scene_is_said(folders, tmp_path):
@@ -192,11 +192,12 @@ def test_command(folders, tmp_path, monkeypatch, capsys):
         gamma = np.abs(result.shear_angle)
         assert float(row["shear_angle_max_deg"]) == pytest.approx(gamma.max(), abs=0.01)
         assert float(row["force_N"]) == pytest.approx(result.force, rel=1e-3)
-        assert row["certified"] == ("yes" if result.certified else "no")
+        assert row["converged"] == ("yes" if result.certified.converged else "no")
+        assert row["trust"] == "limited"  # at least by a mesh error that is not known
     assert main(["plot", str(root / "dome"), "--table", "--travel", "11"]) == 0
     table = dict(line.split(None, 1) for line in capsys.readouterr().out.splitlines())
     assert table["travel_mm"] == "10"
-    assert "certified" not in table  # which is told of the end only
+    assert "converged" not in table  # only the end is checked
     assert [path.name for path in tmp_path.iterdir()] == ["pictures"]
 
 
@@ -259,7 +260,7 @@ def test_view_is_that_of_the_result(pair):
             assert_allclose(line.z, their_line.z, atol=1e-4)
     assert view.figure(run).layout == view.figure(result.record).layout
     assert view.words(run).split(", ", 2)[2] == view.words(result.record).split(", ", 2)[2]
-    assert view.words(run.near(10)).endswith("not certified: only the end of a run is")
+    assert view.words(run.near(10)).endswith("not the end of the run, which alone is checked")
 
 
 def test_view_command(folders, tmp_path, monkeypatch, capsys):
@@ -270,7 +271,7 @@ def test_view_command(folders, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(webbrowser, "open", lambda page: opened.append(page) or True)
     assert main(["view", str(root / "dome")]) == 0
     out = capsys.readouterr().out
-    assert ", converged, but not certified: a fibre cuts" in out
+    assert ", converged; trust limited: a fibre cuts" in out
     assert out.endswith("\nfile: dome.html\n")
     assert main(["view", str(root / "dome"), "--travel", "11", "--open"]) == 0
     assert "travel 10 mm" in capsys.readouterr().out

@@ -13,8 +13,9 @@ import pytest
 
 import validation
 from tests.chromium import opened, program
+from validation.agreement import headline
 from validation.bands import Case, Reference, Row
-from validation.report import about, markdown
+from validation.report import about, difference, markdown, reference
 from validation.report import page as report_page
 from validation.report_text import verdict
 
@@ -246,6 +247,73 @@ def test_unknown_case_is_wrong_input(suite):
     ended = run(suite, "plane")
     assert ended.returncode == 2
     assert "unknown case 'plane': did you mean 'plain'?" in ended.stderr
+
+
+def measured(value, reference, tolerance="report", standing="measured", limitation=""):
+    known = Reference("force u=10", reference, tolerance, "N", standing, "a test", limitation)
+    return Row(known, value)
+
+
+def test_the_report_leads_with_agreement_with_measurement():
+    """Good and bad, in numbers; what the model was given and bounds on errors do not count."""
+    rows = [measured(9.5, 10.0), measured(57.0, 10.0), measured(None, 10.0), measured(3.0, None)]
+    rows += [measured(10.0, 10.0, standing="input"), measured(0.5, 1.0, "max")]
+    rows.append(measured(10.3, 10.0))
+    case = Case("formed", rows=tuple(rows))
+    assert headline([case]).replace("\u00a0", " ") == (
+        "3 numbers were compared with measurements, in 1 case: 2 of them differ by at most 10 %, "
+        "half of them by at most 5 %, the worst by a factor of 5.7. "
+        "1 measured values are not published yet."
+    )
+    text = report_page(about(quick=True, not_run=[]), [case], [])
+    first, _ = text.split('<section id="verdict">')
+    assert "<b>5.7 ×</b>" in first
+    assert "force at 10 mm" in first
+    assert "every row passed" not in first.lower()
+    assert headline([]) == "No computed number could be compared with a measurement."
+
+
+def test_reference_and_difference_are_never_empty():
+    rows = [measured(9.5, 10.0), measured(9.5, 10.0, "max"), measured(9.5, None), measured(1, 0)]
+    rows += [measured(None, 10.0), measured(-1, 10.0), measured(0, 10.0, "min"), measured(10, 10.0)]
+    for row in rows:
+        assert reference(row)
+        assert difference(row)
+    assert [difference(row) for row in rows[:3]] == ["−5 %", "−5 %", "no reference"]
+    assert difference(measured(31.0, 10.0)) == "3.1 ×"
+    assert reference(rows[1]) == "at most 10 N"
+
+
+def test_a_case_that_needs_a_limitation_has_no_tick():
+    good = measured(10.0, 10.0, "1%")
+    known = measured(12.0, 10.0, "50%", limitation="rovings slip")
+    assert Case("formed", rows=(good,)).state == "passed"
+    assert Case("formed", rows=(good, known)).state == "known limitation"
+    assert Case("formed", rows=(good, known)).passed
+
+
+def test_the_report_is_written_again_from_its_numbers(suite):
+    folder = suite.parent / "again"
+    assert run(suite, "--quick", "--out", folder, "plain").returncode == 0
+    before = json.loads((folder / "report.json").read_text())
+    (folder / "report.html").unlink()
+    ended = run(suite, "--draw", folder)
+    assert ended.returncode == 0, ended.stderr
+    assert (folder / "report.html").exists()
+    assert json.loads((folder / "report.json").read_text()) == before
+    assert run(suite, "--draw", suite).returncode == 2
+
+
+@pytest.mark.skipif(program() is None, reason="no Chromium on this machine")
+@pytest.mark.parametrize("width", [1400, 420])
+def test_the_report_does_not_scroll_sideways(report, tmp_path, width):
+    pytest.importorskip("websocket")
+    with opened(report[0] / "report.html", tmp_path, width, 900) as page:
+        assert page.value("document.documentElement.scrollWidth") <= width
+        assert not page.value(
+            "[...document.querySelectorAll('main *')].filter(e => "
+            "e.getBoundingClientRect().right > innerWidth + 1).length"
+        )
 
 
 @pytest.mark.skipif(program() is None, reason="no Chromium on this machine")

@@ -1,6 +1,7 @@
 """A formed sheet, the record of a run and its certificate: made, written, read, handed on."""
 
 import json
+import re
 import shutil
 import sys
 from dataclasses import replace
@@ -219,10 +220,16 @@ def test_trust_says_what_limits_the_numbers(strip):
     fabric = replace(strip.model.sheet.fabric, shear_range=5.0)
     sheet = replace(strip.model.sheet, fabric=fabric)
     (words,) = trust(replace(strip, model=replace(strip.model, sheets=[sheet])))
-    assert words.endswith("% of the area is sheared beyond 5°, the tested range of the law")
+    assert re.fullmatch(
+        r"the largest shear angle is \d\d\.\d°, the law was tested to 5° \(\d+ % of the area is "
+        r"beyond\)",
+        words,
+    )
+    unknown = replace(strip, estimate={"force_N": None, "shear_angle_deg": None})
+    assert trust(unknown) == ["the mesh error is not known"]
     assert trust(replace(strip, rescues={"saddle left": 1}, parted=0.05)) == []  # the same state
     (words,) = trust(replace(strip, rescues={"saddle left": 1}, parted=0.5))
-    assert words == "one of many states: 1 saddle was left on the way"
+    assert words == "one of many states: the sheet became unstable and buckled away once"
 
 
 def test_the_error_of_the_mesh_is_put_into_another_result(strip):

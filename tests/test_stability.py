@@ -105,7 +105,10 @@ def test_a_wrinkled_sheet_is_certified_where_perturbed_starts_agree(monkeypatch)
     assert not [reason for reason in coarse if "wrinkled" in reason]  # it only stands off there
     monkeypatch.setattr(qf.Result, "wrinkles", waves)
     assert result.certified.reasons[-1].startswith("wrinkled, one of many states")
-    result.spread = {name: {"low": 1.0, "high": 1.0, "robust": True} for name in result.quantities}
+    result.spread = {
+        name: {"low": 1.0, "high": 1.0, "robust": True, "judged": True}
+        for name in result.quantities
+    }
     assert result.certified.reasons == coarse
     result.spread["force_N"]["robust"] = False
     assert set(result.certified.reasons) == {*coarse, "perturbed starts scatter in force_N"}
@@ -164,8 +167,15 @@ def test_spread_tells_what_is_robust():
     assert table["shear_angle_mean_deg"]["robust"]
     assert table["shear_angle_mean_deg"]["low"] <= result.quantities["shear_angle_mean_deg"]
     assert result.one_of_many == ""
-    result.spread["force_N"] = {"low": 1.0, "high": 9.0, "robust": False, "stopped": 0}
+    result.spread["force_N"] = {"low": 1.0, "high": 9.0, "robust": False, "judged": True}
     assert result.one_of_many == "perturbed starts scatter in force_N"
+    result.estimate = {"force_N": 2.0 * result.force, "shear_angle_mean_deg": 0.01}
+    table = qf.spread(result, seeds=(1,))  # the mesh error is larger than the force
+    assert not table["force_N"]["judged"]
+    assert not table["force_N"]["robust"]
+    assert table["shear_angle_mean_deg"]["robust"]
+    assert "perturbed" not in result.one_of_many
+    assert "the mesh error is large in force_N" in str(result.certified)
     with pytest.raises(qf.InputError, match="amplitude"):
         qf.spread(result, amplitude=0)
 

@@ -89,7 +89,7 @@ def test_rows_that_are_not_judged():
             "x,,1%,N,exact,none",
             "'exact', expected 'measured', as the row has no value",
         ),
-        ("x,1,1%,N,guessed,none", "'guessed', expected 'measured', 'stated', 'exact'"),
+        ("x,1,1%,N,guessed,none", "'guessed', expected 'measured', 'input', 'between tests'"),
         ("x,0,1%,N,exact,none", "percentage of zero"),
         (
             "x,1,small,N,exact,none",

@@ -25,7 +25,18 @@ from typing import Annotated, Literal, get_args
 from pydantic import BeforeValidator, Field, FiniteFloat, ValidationInfo, field_validator
 from pydantic.dataclasses import dataclass as checked
 
-Standing = Literal["measured", "stated", "exact", "peer", "prototype", "inferred", "assumed", "own"]
+Standing = Literal[
+    "measured",
+    "input",
+    "between tests",
+    "stated",
+    "exact",
+    "peer",
+    "prototype",
+    "inferred",
+    "assumed",
+    "own",
+]
 STANDINGS: tuple[str, ...] = get_args(Standing)
 
 PASSED, FAILED, MISSING = "passed", "failed", "missing"
@@ -214,7 +225,13 @@ class Case:
 
     @property
     def state(self) -> str:
-        """State of the case as a whole: passed only if most of it was computed."""
+        """State of the case as a whole.
+
+        Passed only if most of it was computed, and without the help of a known limitation.
+        """
         if not self.passed:
             return FAILED
-        return SKIPPED if self.mostly_skipped else PASSED
+        if self.mostly_skipped:
+            return SKIPPED
+        left = (state for state in (LIMITATION, PASSED, NO_REFERENCE) if self.counts[state])
+        return next(left, INFORMATION)

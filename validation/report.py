@@ -18,6 +18,7 @@ from collections import Counter
 from dataclasses import asdict, dataclass
 from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
+from io import BytesIO
 from math import isfinite
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -26,11 +27,13 @@ import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markdown_it import MarkdownIt
 from markupsafe import Markup
+from matplotlib.figure import Figure
 from scipy.sparse import csr_array
 
 from quasiform.result.summary import package_version
 from quasiform.solve.linear import linear_solver
 
+from . import agreement
 from .bands import (
     FAILED,
     INFORMATION,
@@ -81,6 +84,8 @@ STATES = {
 }
 STANDINGS = {
     "measured": "a published experiment; only these rows compare with an experiment",
+    "input": "a measured value that the model was given; the row checks that it comes back",
+    "between tests": "one measurement against another; the model takes no part",
     "stated": "a statement of the paper that this package follows",
     "exact": "a closed form, or an equation solved to all digits",
     "peer": "another code on the same problem",
@@ -94,6 +99,7 @@ GATHERED = {  # rows of all cases that a reader should see first
     "Known limitations, each within its own tolerance": (LIMITATION,),
     "Rows without a reference yet": (NO_REFERENCE,),
 }
+WORST, FIRST = 3, 5  # disagreements and pictures on the first screen
 STUDIES = (  # pictures that other commands make: folder, title, command, about, patterns
     (
         "speed",
@@ -170,6 +176,8 @@ def page(about: About, done: list[Case], waiting: list[str]) -> str:
         standing: Counter(row.state for row in rows if row.reference.standing == standing)
         for standing in STANDINGS
     }
+    rows_measured = agreement.compared(done)
+    by_curve = [found[0] for found in agreement.groups(rows_measured).values()]
     return _render(
         "report.html.j2",
         about,
@@ -178,12 +186,32 @@ def page(about: About, done: list[Case], waiting: list[str]) -> str:
         passed=all(case.passed for case in done),
         total=total,
         columns=[state for state in STATES if total[state] or state in (PASSED, FAILED)],
+        worst=by_curve[:WORST],
+        by_case=agreement.by_case(rows_measured),
+        first_pictures=_first_pictures(done),
+        times=agreement.times,
         by_standing={name: counts for name, counts in by_standing.items() if counts},
         standings=STANDINGS,
         studies=[_study(*study) for study in STUDIES],
         css=Markup(_own("report.css")),
         scripts=scripts,
     )
+
+
+def _first_pictures(done: list[Case]) -> list[tuple[str, str, Path | Figure]]:
+    """Five pictures: the agreement with measurement, then one a case, those with tests first."""
+    tested = {found.case for found in agreement.compared(done)}
+    cases = sorted(done, key=lambda case: case.name not in tested)
+    found = [
+        (f"case-{case.name}", *case.figures[k])
+        for k in range(2)
+        for case in cases
+        if len(case.figures) > k
+    ]
+    if tested:
+        caption = "Computed over measured: one dot a number, the worst curves first"
+        found.insert(0, ("verdict", caption, agreement.figure(done)))
+    return found[:FIRST]
 
 
 def markdown(about: About, done: list[Case], waiting: list[str]) -> str:
@@ -201,6 +229,7 @@ def _render(template: str, about: About, done: list[Case], waiting: list[str], *
         undefined=StrictUndefined,
     )
     formats = (band, difference, duration, picture, quantity, readme, reference, title, used)
+    formats += (agreement.label,)
     environment.globals |= {f.__name__: f for f in formats}
     environment.globals["with_case"] = lambda case, rows: [(case, row) for row in rows]
     environment.filters |= {
@@ -219,6 +248,7 @@ def _render(template: str, about: About, done: list[Case], waiting: list[str], *
         done=done,
         waiting=waiting,
         verdict=verdict(done, waiting),
+        headline=agreement.headline(done),
         states=STATES,
         gathered=gathered,
         **more,
@@ -227,21 +257,35 @@ def _render(template: str, about: About, done: list[Case], waiting: list[str], *
 
 
 def reference(row: Row) -> str:
-    """The reference value; empty where the tolerance shows it already, or there is none."""
+    """The reference value, or why there is none."""
     known = row.reference
-    alone = known.tolerance in ("max", "min") or (known.tolerance, known.value) == ("report", 0)
-    return "" if alone else quantity(known.value, known.unit)
+    if known.value is None:
+        return "not published"
+    if (known.tolerance, known.value) == ("report", 0):
+        return "none"
+    kind = {"max": "at most ", "min": "at least "}.get(known.tolerance, "")
+    return kind + quantity(known.value, known.unit)
 
 
 def difference(row: Row) -> str:
-    """The difference from the reference with its unit."""
+    """The difference from the reference with its unit, or why there is none."""
     known = row.reference
-    if row.value is None or known.value is None:
-        return ""
-    off = known.deviation(row.value).replace("-", "−")
-    if off and not off.endswith("%"):
-        off += {"deg": "°", "1": ""}.get(known.unit, f" {known.unit}")
-    return off
+    if known.value is None or (known.tolerance, known.value) == ("report", 0):
+        return "no reference"
+    if row.value is None:
+        return "not computed"
+    off = row.value - known.value
+    unit = {"deg": "°", "1": ""}.get(known.unit, f" {known.unit}")
+    ratio = row.value / known.value if known.value else 0.0
+    if not ratio > 0 or not isfinite(ratio):
+        words = f"{off:+.3g}{unit}"
+    elif not 0.5 < ratio < 2:
+        words = f"{ratio:.3g} ×"
+    else:
+        words = f"{100 * (ratio - 1):+.3g} %" if off else "0 %"
+        if known.unit == "deg" and off:
+            words = f"{off:+.3g}° ({words})"
+    return words.replace("-", "−")
 
 
 def used(row: Row) -> float | None:
@@ -252,16 +296,20 @@ def used(row: Row) -> float | None:
     return share if share is not None and isfinite(share) else None
 
 
-def picture(path: Path, description: str) -> Markup:
+def picture(path: Path | Figure, description: str) -> Markup:
     """An image element with the picture inside; a PNG's size prevents jumps while it loads."""
-    content = path.read_bytes()
-    size = Markup()
-    if path.suffix == ".png":
+    size, suffix = Markup(), ".png"
+    if isinstance(path, Figure):
+        path.savefig(drawn := BytesIO(), dpi=144)
+        content = drawn.getvalue()
+    else:
+        content, suffix = path.read_bytes(), path.suffix
+    if suffix == ".png":
         width, height = (int.from_bytes(content[at : at + 4], "big") for at in (16, 20))
         size = Markup(f' width="{width}" height="{height}"')
     return Markup(
         '<img alt="{}" loading="lazy" decoding="async"{} src="data:{};base64,{}">'
-    ).format(description, size, TYPES[path.suffix], base64.b64encode(content).decode())
+    ).format(description, size, TYPES[suffix], base64.b64encode(content).decode())
 
 
 def title(case: str) -> str:
@@ -311,6 +359,7 @@ def _own(name: str) -> str:
 def as_data(about: About, done: list[Case], waiting: list[str]) -> dict[str, Any]:
     """Everything except the pictures, as data for JSON."""
     return {
+        "agreement": agreement.headline(done),
         "verdict": verdict(done, waiting),
         "passed": all(case.passed for case in done) and not waiting,
         **asdict(about),

@@ -22,16 +22,17 @@ import shutil
 import subprocess
 import sys
 import time
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from datetime import datetime
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from quasiform.checks import InputError, suggestion
 from quasiform.result.files import check_folder
 
 from . import report
+from .agreement import headline
 from .bands import Case, Listed, Measured, Reference, Row
 from .report_text import print_case, verdict
 from .tables import read_table
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
 
 FOLDER = Path(__file__).parent
 OUTCOME = "outcome.json"
+NOTHING = {"values": {}, "notes": [], "figures": [], "sheets": []}  # what a case leaves at first
 LIMIT_S = 3600.0  # a case that takes longer is stopped
 
 
@@ -125,7 +127,7 @@ def evaluate(case: str, folder: Path, *, quick: bool = False) -> Case:
     date = datetime.now().astimezone().isoformat(timespec="seconds")
     missing = [name for name in ("case.py", "reference.csv") if not (FOLDER / case / name).exists()]
     problem = f"missing: {' and '.join(missing)}" if missing else ""
-    left = {"values": {}, "notes": [], "figures": [], "sheets": []}
+    left = dict(NOTHING)
     start = time.perf_counter()
     if "case.py" not in missing:
         folder.mkdir(parents=True, exist_ok=True)
@@ -136,8 +138,21 @@ def evaluate(case: str, folder: Path, *, quick: bool = False) -> Case:
         else:
             problem = problem or message
     seconds = left.get("seconds", time.perf_counter() - start)
+    return _judged(case, folder, left, problem, (seconds, date), quick=quick)
+
+
+def _judged(
+    case: str,
+    folder: Path,
+    left: dict[str, Any],
+    problem: str,
+    when: tuple[float, str],
+    *,
+    quick: bool,
+) -> Case:
+    """Compare what a case left in its folder with the references."""
     rows: list[Row] = []
-    if "reference.csv" not in missing:
+    if (FOLDER / case / "reference.csv").exists():
         values = {name: float(value) for name, value in left["values"].items()}
         rows, mistake = compare(case, values, quick=quick)
         problem = "; ".join(filter(None, [problem, mistake]))
@@ -145,8 +160,7 @@ def evaluate(case: str, folder: Path, *, quick: bool = False) -> Case:
         case,
         tuple(rows),
         problem,
-        seconds,
-        date,
+        *when,
         tuple(left["notes"]),
         tuple((caption, folder / name) for caption, name in left["figures"]),
         tuple(
@@ -154,6 +168,28 @@ def evaluate(case: str, folder: Path, *, quick: bool = False) -> Case:
             for caption, description, view, picture in left["sheets"]
         ),
     )
+
+
+def draw(folder: Path) -> int:
+    """Write the report in a folder again from the numbers and pictures there."""
+    try:
+        content = json.loads((folder / report.JSON).read_text(encoding="utf-8"))
+        names = [field.name for field in fields(report.About)]
+        about = report.About(**{name: content[name] for name in names})
+    except (OSError, ValueError, KeyError) as error:
+        raise InputError(f"{folder}: no report of a validation run: {error}") from error
+    done = []
+    for case in content["cases"]:
+        place = folder / report.PICTURES / case["name"]
+        left, problem = dict(NOTHING), case["problem"]
+        if (place / OUTCOME).exists():
+            left = json.loads((place / OUTCOME).read_text(encoding="utf-8"))
+            problem = left["problem"]
+        when = case["seconds"], case["date"]
+        done.append(_judged(case["name"], place, left, problem, when, quick=about.quick))
+    report.write(folder, about, done, content["waiting"])
+    print(f"report: {folder / report.HTML}")
+    return 0 if all(case.passed for case in done) else 1
 
 
 def _run_process(case: str, folder: Path, quick: bool) -> str:
@@ -223,7 +259,7 @@ def validate(
     except KeyboardInterrupt:
         print(f"interrupted: the report in {folder} has {len(done)} of {len(chosen)} cases")
         return 3
-    print(verdict(done, []))
+    print(headline(done), verdict(done, []), sep="\n")
     print(f"report: {folder / report.HTML}")
     return 0 if all(case.passed for case in done) else 1
 
@@ -245,8 +281,12 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--quick", action="store_true", help="the quick suite")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder of the report (a new one)")
     parser.add_argument("--force", action="store_true", help="replace the report in --out")
+    again = "write the report in DIR again from its stored numbers, without computing"
+    parser.add_argument("--draw", type=Path, metavar="DIR", help=again)
     given = parser.parse_args(argv)
     try:
+        if given.draw:
+            return draw(given.draw)
         return validate(given.cases, quick=given.quick, out=given.out, force=given.force)
     except InputError as error:
         parser.error(str(error))

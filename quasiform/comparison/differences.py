@@ -56,10 +56,10 @@ class Row:
         return bool(abs(self.difference) <= self.band)
 
     def cells(self, form: str) -> dict[str, str]:
-        """Text by column, empty where there is nothing; "held" or "MISSED" with a band."""
+        """Text by column, empty where there is nothing; "within" or "OUTSIDE" with a band."""
         numbers = {name: getattr(self, name) for name in ("result", "reference", "difference")}
         found = {key: "" if v is None else format(v, form) for key, v in numbers.items()}
-        verdict = {None: "", True: "held", False: "MISSED"}[self.held]
+        verdict = {None: "", True: "within", False: "OUTSIDE"}[self.held]
         found |= {"held": verdict, "band": f"{self.band:g}" if verdict else ""}
         return {name: found.get(name, getattr(self, name, "")) for name in COLUMNS}
 

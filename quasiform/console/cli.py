@@ -586,6 +586,9 @@ def view(
     *,
     travel: Annotated[Length | None, about("Show the state nearest to it (the last).")] = None,
     open: Annotated[bool, about("Open the page in the browser.")] = False,
+    summary: Annotated[
+        bool, about("One page to read instead, HTML and PDF, for somebody who did not run it.")
+    ] = False,
     output: Output = Output(),
 ) -> None:
     """A result as one HTML page to rotate, zoom and probe; `--out` is its name.
@@ -594,15 +597,21 @@ def view(
     """
     import webbrowser
 
-    from ..draw import view
+    from ..draw import page, view
     from ..result.record import Record
 
     run = Record.read(folder)
     if travel is not None:
         run = run.near(travel)
-    path = output.file(output.out or _unused(_case(run.name), ".html"))
-    view.save(run, path)
-    terminal.say(view.words(run), f"file: {path}")
+    name = _case(run.name) + "-summary" * summary
+    path = output.file(output.out or _unused(name, ".html"))
+    written = [path]
+    if summary:
+        output.file(path.with_suffix(".pdf"))
+        written = page.save(run, path)
+    else:
+        view.save(run, path)
+    terminal.say(view.words(run), *(f"file: {file}" for file in written))
     if open and not webbrowser.open(path.resolve().as_uri()):
         raise InputError(f"no browser was found: open {path} yourself")
 

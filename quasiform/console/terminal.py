@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 from rich.table import Table
 
+from ..checks import number
+
 if TYPE_CHECKING:
     from ..identification import Identification
     from ..identification.campaign import Campaign
@@ -40,9 +42,9 @@ def say(*lines: str) -> None:
 def table(rows: Iterable[Iterable[object]], indent: int = 0) -> str:
     """Columns of text; cells are folded on a terminal only."""
     grid = Table.grid(padding=(0, 2, 0, 0))
-    for number, row in enumerate(rows):
+    for k, row in enumerate(rows):
         cells = [str(cell) for cell in row]
-        if not number:
+        if not k:
             for i in range(len(cells)):
                 grid.add_column(no_wrap=i < len(cells) - 1)
         grid.add_row(*cells)
@@ -64,17 +66,6 @@ def notes(found: Iterable[str], general: Collection[str] = (), where: str = "") 
     if general:
         lines.append(f"  and {len(general)} notes true of every such export, in {where}")
     return lines
-
-
-def number(value: float, digits: int = 4) -> str:
-    """A number to some significant digits, without an exponent where people write none.
-
-    Examples
-    --------
-    >>> number(112.3, 2), number(0.01234), number(123456.0)
-    ('110', '0.01234', '123500')
-    """
-    return f"{float(f'{value:.{digits}g}'):.15g}"
 
 
 def describe(model: Model) -> str:
@@ -176,24 +167,23 @@ def _errors(result: Result, summary: Mapping[str, Any]) -> dict[str, str]:
 
 def _worth(summary: Mapping[str, Any]) -> dict[str, str]:
     rows = {}
-    if summary["one_of_many"]:
-        rows["one of many"] = summary["one_of_many"]
     if spread := summary["spread"]:
-        scattered = [name for name, entry in spread.items() if not entry["robust"]]
+        words = {
+            "scattered": [k for k, entry in spread.items() if entry["judged"] > entry["robust"]],
+            "not judged, the mesh error is large": [k for k in spread if not spread[k]["judged"]],
+        }
+        found = [f"{what}: {', '.join(names)}" for what, names in words.items() if names]
         rows["perturbed"] = ", ".join(
             f"{name} {number(spread[name]['low'])} to {number(spread[name]['high'])}"
             for name in spread
             if name in SPREAD
         )
-        rows["perturbed"] += f"; scattered: {', '.join(scattered)}" if scattered else "; all robust"
+        rows["perturbed"] = "; ".join([rows["perturbed"], *(found or ["all robust"])])
     if summary["path_size_mm"]:
         rows["path"] = f"followed at size {summary['path_size_mm']:g} mm"
-    certificate = summary["certificate"]
-    rows["converged"] = "yes" if certificate["converged"] else "no"
-    reasons = "; ".join(certificate["reasons"])
-    rows["certified"] = "yes" if summary["certified"] else f"no: {reasons}"
-    if summary["trust"]:
-        rows["trust"] = "; ".join(summary["trust"])
+    rows["converged"] = "yes" if summary["certificate"]["converged"] else "no"
+    limits = [*summary["certificate"]["reasons"], *summary["trust"]]
+    rows["trust"] = f"limited: {'; '.join(limits)}" if limits else "no limit was found"
     work = ", ".join(f"{times} at {mesh}" for mesh, times in summary["factorisations"].items())
     solver, increments = summary["solver"]["linear"], summary["increments"]
     rows["factorisations"] = f"{work} ({solver}), in {increments} increments"

@@ -21,17 +21,15 @@ from matplotlib import rc_context
 from matplotlib.animation import FFMpegWriter, PillowWriter
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from ..checks import InputError, force_column, suggestion
-from ..net.blank import rotation
 from ..result.measures import percentile
 from ..result.record import Record
-from ..scenes.forming import forming
 from . import plot
+from .overlay import level_lines, tool_cuts
 
 FloatArray = np.ndarray
 Runs, Labels = Sequence[Record], Sequence[str]
@@ -42,9 +40,7 @@ STROKES = ("-", (0, (5, 2)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)))
 MARKS = "os^Dv"
 WARP, WEFT = "#003f66", "#d55e00"
 SHEET = "#f4efe6"
-LOCKED = "#009e73"
 FRAMES_PER_SECOND = 6
-CUT = 161  # points a side of the grid on which a tool is cut
 FILES = (
     *("shear_angle.png", "fibres.png", "outline.png", "force.png"),
     *("travel.gif", "travel.mp4", "table.csv"),
@@ -110,7 +106,9 @@ def _row(run: Record) -> dict[str, str]:
         draw_in = list((summary.get("draw_in_mm") or {}).values())
         numbers["shear_angle_error_deg"] = summary["error_estimate"].get("shear_angle_deg"), ".2g"
         numbers["draw_in_mm"] = np.mean(draw_in) if draw_in else None, ".2f"
-        numbers["certified"] = "yes" if run.certified else "no", "s"
+        converged = summary["certificate"]["converged"]
+        numbers["converged"] = "yes" if converged else "no", "s"
+        numbers["trust"] = "limited" if run.limits else "no limit found", "s"
     numbers["linear_solves"] = summary.get("linear_solves"), "g"
     numbers["wall_s"] = summary.get("wall_s"), ".1f"
     row = {"case": run.case, "fabric": run.fabric_name}
@@ -184,11 +182,7 @@ def _shear_angles(runs: Runs, labels: Labels, end: float, notes: list[str]) -> F
         _head(axes[0], label, run, turned_over=plot.view_of(run)[1])
         plot.draw_flat_outline(above, sheet)
         plot.paint(above, sheet, sheet.points, plot.shear_faces(sheet, colours))
-        if run.locking:
-            gamma = sheet.at_nodes(np.abs(sheet.shear_angle))
-            line = level_lines(sheet.points, sheet.triangles, gamma, [run.locking])[:, :, :2]
-            for width, ink in ((2.2, "white"), (1.1, LOCKED)):
-                above.add_collection(LineCollection(line, colors=ink, linewidths=width))
+        plot.draw_locking(above, run)
         plot.frame(above, plan)
     _draw_scale(figure, grid, runs, colours)
     return figure
@@ -198,40 +192,8 @@ def _draw_scale(figure: Figure, grid: np.ndarray, runs: Runs, colours: ScalarMap
     """Horizontal scale of colours below all axes, with the locking angles marked."""
     place = {"orientation": "horizontal", "fraction": 0.05, "aspect": 40}
     place |= {"ax": grid.ravel().tolist(), "shrink": 0.6 if len(grid) > 1 else 0.9}
-    bar, end = plot.draw_colour_bar(figure, colours, **place), colours.norm.vmax
-    above = {"xycoords": "axes fraction", "textcoords": "offset points", "va": "bottom"}
-    for angle in {round(run.locking, 3) for run in runs if run.locking and run.locking <= end}:
-        for ink, width in (("black", 2.4), ("white", 1.0)):
-            bar.axvline(angle, color=ink, linewidth=width)
-        words = f"locking {angle:.0f}°"
-        bar.annotate(words, (angle / end, 1.0), (0, 3), **plot.MIDDLE | above)
-
-
-def level_lines(
-    x: FloatArray, triangles: np.ndarray, values: FloatArray, levels: Sequence[float]
-) -> FloatArray:
-    """Segments (k, 2, d) on which a function, linear in each triangle, has one of some values.
-
-    x (n, d) are the points and values (n,) those of the function there.
-
-    Examples
-    --------
-    >>> x = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
-    >>> level_lines(x, np.array([[0, 1, 2]]), x[:, 0], [0.25]).tolist()
-    [[[0.25, 0.75], [0.25, 0.0]]]
-    """
-    segments = [np.empty((0, 2, x.shape[1]))]
-    for level in levels:
-        above = values[triangles] > level
-        # turned so that the first corner lies alone on its side of the line
-        alone = (above.sum(1) == 1)[:, None] == above
-        crossed = above.any(1) & ~above.all(1)
-        first = alone[crossed].argmax(1)
-        corners = np.take_along_axis(triangles[crossed], (first[:, None] + range(3)) % 3, axis=1)
-        f = values[corners]
-        share = ((level - f[:, :1]) / (f[:, 1:] - f[:, :1]))[:, :, None]
-        segments.append((1 - share) * x[corners[:, :1]] + share * x[corners[:, 1:]])
-    return np.concatenate(segments)
+    bar = plot.draw_colour_bar(figure, colours, **place)
+    plot.mark_locking(bar, runs, colours.norm.vmax)
 
 
 def _fibres(runs: Runs, labels: Labels, end: float, notes: list[str]) -> Figure:
@@ -354,36 +316,6 @@ def _animate(runs: Runs, labels: Labels, end: float, path: Path) -> None:
                 plot.frame(axes, room)
             writer.grab_frame()
             figure.set_layout_engine("none")
-
-
-def tool_cuts(run: Record) -> tuple[dict[str, tuple[FloatArray, ...]], str]:
-    """Cut the tools of a forming run at the height of the sheet's plane, or below it for a die.
-
-    The scene is built again from its name or file. Cuts are x (n,), y (n,) and the signed distance
-    from the tool (n, n), in the user's axes, mm; the text says why they are not known.
-    """
-    if not run.has_tools:
-        return {}, ""
-    given = run.parameters
-    try:
-        model = forming(run.scene, given["orientation"], size=given["size"])
-    except (InputError, KeyError, TypeError) as error:
-        return {}, f"its scene was not found or has changed: {' '.join(str(error).split())}"
-    low, high = run.sheet.flat.min(0), run.sheet.flat.max(0)
-    x, y = (np.linspace(low[i], high[i], CUT) for i in (0, 1))
-    plan = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2) @ rotation(model.sheet.turn)
-    cuts = {}
-    for contact in model.contacts:
-        tool = contact.tool
-        if tool.motion == "free":  # a holder lies over the sheet, as the die under it
-            continue
-        z, moved = (0.0, run.travel) if tool.motion == "driven" else (-0.5 * run.travel, 0.0)
-        points = np.column_stack([plan, np.full(len(plan), z)])
-        d = tool.shape.distance(points - [*tool.place, tool.height - moved])[0]
-        if d.min() < 0 < d.max():
-            where = f"z = {z:.3g} mm" if z else "z = 0"
-            cuts[f"{tool.name}, cut at {where}"] = x, y, d.reshape(CUT, CUT)
-    return cuts, ""
 
 
 PICTURES: dict[str, Callable[[Runs, Labels, float, list[str]], Figure]] = {

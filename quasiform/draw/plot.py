@@ -25,11 +25,13 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.patheffects import Normal, Stroke
 
+from ..checks import number
 from ..net.blank import Blank
 from ..net.edges import edge_points
 from ..result.measures import SLIP_GRADIENT, percentile
 from ..result.record import Record
 from ..result.sheet import FormedSheet
+from .overlay import level_lines, tool_cuts
 
 FloatArray = np.ndarray
 
@@ -49,13 +51,36 @@ MIDDLE = {"ha": "center", "va": "center", "fontsize": 7}
 SCALES = (10, 20, 30, 45, 60, 75, 90)  # ends of the colour scale, degrees
 AZIMUTH, ELEVATION = np.radians(-62.0), np.radians(36.0)
 TRUSTED = "#f2f2f2"
-DOUBTS = {  # later ones lie over earlier ones
-    "bands_may_form": ("#9ecae1", "softening: bands finer than the mesh may form"),
-    "fibres_may_buckle": ("#74c476", "compressed: fibres may buckle, finer than the mesh"),
-    "rovings_may_slip": ("#807dba", "steeper than {slip:g}°/mm: rovings may slip"),
-    "beyond_identified_range": ("#fdae61", "beyond {range:g}°: law not identified"),
-    "collapsed": ("#b2182b", "collapsed"),
+LOCKED = "#009e73"
+TOOL = "0.45"
+DOUBTS = {  # colour, meaning and advice; later ones lie over earlier ones
+    "bands_may_form": (
+        "#9ecae1",
+        "shear bands finer than the mesh may form",
+        "use means over areas, or a smaller --size",
+    ),
+    "fibres_may_buckle": (
+        "#74c476",
+        "fibres in compression may buckle, finer than the mesh",
+        "use a smaller --size",
+    ),
+    "rovings_may_slip": (
+        "#807dba",
+        "angle changes faster than {slip:g}°/mm: rovings may slip",
+        "expect smaller angles, or give the fabric [slip]",
+    ),
+    "beyond_identified_range": (
+        "#fdae61",
+        "beyond {range:g}°: not tested",
+        "do not use these angles; test the fabric to larger ones",
+    ),
+    "collapsed": (
+        "#b2182b",
+        "collapsed: beyond 85°, or turned over",
+        "do not use the result here; use a law with locking",
+    ),
 }
+LIMITS_SHOWN = 4
 LIGHT = np.array([-0.45, 0.55, 0.70])  # direction to the light: right, up, towards the viewer
 
 
@@ -89,11 +114,11 @@ def sheet_figure(run: Record) -> Figure:
         key = panels["key"]
         key.axis("off")
         if rings:
-            title = "mean |γ| in the ringed areas"
+            title = "tools, and mean |γ| in the ringed areas"
             key.legend(handles=rings, loc="upper center", ncols=3, title=title, **RING_LEGEND)
         place = {"cax": key.inset_axes([0.02, 0.28, 0.96, 0.12]), "orientation": "horizontal"}
     _draw_force_panel(panels["force"], run)
-    draw_colour_bar(figure, colours, **place)
+    mark_locking(draw_colour_bar(figure, colours, **place), [run], colours.norm.vmax)
     figure.suptitle(_title(run), parse_math=False)
     return figure
 
@@ -104,20 +129,38 @@ def doubt_figure(run: Record) -> Figure:
     axes, key = figure.subplots(1, 2, width_ratios=[1.35, 1])
     sheet, areas = run.sheet, run.sheet.flat_areas
     faces = np.tile(to_rgba(TRUSTED), (len(sheet.triangles), 1))
-    doubts, handles = sheet.doubts(), []
-    for reason, (colour, words) in DOUBTS.items():
+    doubts, handles, advice = sheet.doubts(), [], []
+    for reason, (colour, label, remedy) in limits_of(run).items():
         faces[doubts[reason]] = to_rgba(colour)
         share = 100 * areas @ doubts[reason] / areas.sum()
-        label = words.format(range=run.fabric.get("shear_range", np.nan), slip=SLIP_GRADIENT)
         handles.append(Patch(facecolor=colour, label=f"{label}: {share:.1f} %"))
+        if doubts[reason].any():
+            advice.append(f"{label.split(':')[0]}: {remedy}")
     paint(axes, sheet, sheet.points, faces)
     frame(axes, sheet.points)
     key.axis("off")
-    trusted = Patch(facecolor=TRUSTED, edgecolor="0.6", label="nothing against it")
+    trusted = Patch(facecolor=TRUSTED, edgecolor="0.6", label="no limit was found")
     title = "limits of the shear angle, share of the area"
-    key.legend(handles=[*handles[::-1], trusted], loc="upper left", title=title, frameon=False)
+    look = {"frameon": False, "alignment": "left", "borderaxespad": 0}
+    key.legend(handles=[*handles[::-1], trusted], loc="upper left", title=title, **look)
+    found = {"what to do": advice[::-1], "limits of the whole result": run.limits[:LIMITS_SHOWN]}
+    lines = []
+    for heading, entries in found.items():
+        lines += [f"{heading}:", *(textwrap.fill(f"– {e}", 58) for e in entries or ["none"]), ""]
+    words = "\n".join(lines)
+    look = {"va": "top", "fontsize": 7, "linespacing": 1.5, "in_layout": False}
+    key.text(0.0, 0.62, words, parse_math=False, **look)
     figure.suptitle(_title(run), parse_math=False)
     return figure
+
+
+def limits_of(run: Record) -> dict[str, tuple[str, str, str]]:
+    """Colour, meaning and advice of each of the limits of the shear angle."""
+    numbers = {"range": run.fabric.get("shear_range", np.nan), "slip": SLIP_GRADIENT}
+    return {
+        reason: (colour, words.format(**numbers), advice)
+        for reason, (colour, words, advice) in DOUBTS.items()
+    }
 
 
 def history_figure(run: Record) -> Figure:
@@ -154,21 +197,21 @@ def _title(run: Record) -> str:
     case[2] += f" (path at {path:.3g} mm)" if path else ""
     case.append(f"{travel} {summary['reached_mm']:.4g}{' mm' if unit == 'N' else ''}")
     gamma, errors = summary["shear_angle_deg"], summary["error_estimate"]
-    off = {name: "" if e is None else f" ± {e:.2g}" for name, e in errors.items()}
+    off = {name: "" if e is None else f" ± {number(e, 2)}" for name, e in errors.items()}
     numbers = f"|γ| max {gamma['max']:.1f}°, p99 {gamma['p99']:.1f}{off['shear_angle_deg']}°"
     if unit == "N":
-        numbers += f" · {force} {round(summary['force_N'], 3) + 0.0:.4g}{off['force_N']} N"
-    return "\n".join([" · ".join(case), numbers, textwrap.fill(verdict(run), 100)])
+        numbers += f" · {force} {number(round(summary['force_N'], 3) + 0.0)}{off['force_N']} N"
+    return "\n".join([" · ".join(case), numbers, textwrap.fill(verdict(run), 105)])
 
 
 def verdict(run: Record) -> str:
-    """Whether a run converged and is certified, and the worst news."""
-    if run.certified:
-        return "; ".join(["converged and certified", *run.summary["trust"][:1]])
-    converged = run.summary["certificate"]["converged"]
-    head = "converged, but not certified" if converged else "not converged"
-    head = head if run.at_end else "not certified"
-    return f"{head}: {'; '.join(run.reasons)}"
+    """Whether a run converged, and what limits the trust in it, the worst first."""
+    head = "converged" if run.summary["certificate"]["converged"] else "not converged"
+    limits, head = run.limits, head if run.at_end else "an increment"
+    if not limits:
+        return f"{head}; no limit to its trust was found"
+    more = f"; and {len(limits) - 2} more (summary.json)" if len(limits) > 2 else ""
+    return f"{head}; trust limited: {'; '.join(limits[:2])}{more}"
 
 
 def words_of(run: Record) -> tuple[str, str, str]:
@@ -217,6 +260,27 @@ def draw_colour_bar(figure: Figure, colours: ScalarMappable, **place: Any) -> Ax
     bar = figure.colorbar(colours, label="shear angle |γ| in °", **place)
     bar.outline.set_linewidth(0.5)
     return bar.ax
+
+
+def draw_locking(axes: Axes, run: Record) -> None:
+    """Draw the line at the locking angle on a sheet seen from above."""
+    if run.locking:
+        gamma = run.sheet.at_nodes(np.abs(run.sheet.shear_angle))
+        line = level_lines(run.sheet.points, run.sheet.triangles, gamma, [run.locking])[:, :, :2]
+        for width, ink in ((2.2, "white"), (1.1, LOCKED)):
+            axes.add_collection(LineCollection(line, colors=ink, linewidths=width))
+
+
+def mark_locking(bar: Axes, runs: Sequence[Record], end: float) -> None:
+    """Mark the locking angles on a horizontal or vertical scale of colours that has this end."""
+    upright = bar.get_position().height > bar.get_position().width
+    for angle in {round(run.locking, 3) for run in runs if run.locking and run.locking <= end}:
+        for ink, width in (("black", 2.4), ("white", 1.0)):
+            (bar.axhline if upright else bar.axvline)(angle, color=ink, linewidth=width)
+        at, away = ((0.0, angle / end), (-3, 0)) if upright else ((angle / end, 1.0), (0, 3))
+        side = {"ha": "right"} if upright else {"va": "bottom"}
+        place = {"xycoords": "axes fraction", "textcoords": "offset points"}
+        bar.annotate(f"locking {angle:.0f}°", at, away, **MIDDLE | place | side)
 
 
 def view_of(run: Record) -> tuple[FloatArray, bool]:
@@ -381,7 +445,8 @@ def _draw_from_above(axes: Axes, run: Record, colours: ScalarMappable) -> list[L
     grips = [] if run.gripped is None else draw_grips(axes, sheet, run.gripped)
     draw_flat_outline(axes, sheet)
     paint(axes, sheet, sheet.points, shear_faces(sheet, colours))
-    rings = _draw_areas(axes, run)
+    draw_locking(axes, run)
+    rings = [*_draw_tools(axes, run), *_draw_areas(axes, run)]
     draw_draw_in_arrows(axes, run)
     frame(axes, np.vstack([sheet.points[:, :2], sheet.flat, *grips]))
     if collapsed(sheet).any():
@@ -390,6 +455,18 @@ def _draw_from_above(axes: Axes, run: Record, colours: ScalarMappable) -> list[L
     if run.summary.get("draw_in_mm"):
         axes.set_title("seen from above; draw-in in mm", pad=12)
     return rings
+
+
+def _draw_tools(axes: Axes, run: Record) -> list[Line2D]:
+    """Cuts through punch and die, dashed and dotted; returns them for the key."""
+    handles = []
+    cuts, _ = tool_cuts(run)
+    for stroke, (words, (x, y, d)) in zip(("--", ":"), cuts.items(), strict=False):
+        look = {"linestyles": stroke, "linewidths": 1.0, "colors": TOOL}
+        axes.contour(x, y, d, levels=[0.0], **look)
+        name = words.partition(",")[0]
+        handles.append(Line2D([], [], color=TOOL, linestyle=stroke, linewidth=1.0, label=name))
+    return handles
 
 
 def draw_grips(axes: Axes, sheet: FormedSheet, gripped: np.ndarray) -> list[FloatArray]:
@@ -497,22 +574,32 @@ def frame(axes: Axes, points: FloatArray, view: FloatArray | None = None) -> Non
 def draw_force(
     axes: Axes, run: Record, look: dict[str, Any], label: str | None = None, tail: str | None = None
 ) -> None:
-    """Force over travel with its error; faded from a collapse on, hollow on a coarser mesh."""
+    """Force over travel with its error; faded from a collapse on, hollow on a coarser mesh.
+
+    Where the end was solved on a finer mesh than the way there, the step to it is dotted.
+    """
     travel, force = run.history[run.travel_name], run.forces
     n = sound_rows(run)
     first = int(axes.get_yscale() == "log")  # no force at the start
     marks = {"marker": look.get("marker", "o"), "markersize": look.get("markersize", 2)}
     look = {"clip_on": False, **look}
-    axes.plot(travel[first:n], force[first:n], **look, label=label)
+    sizes = run.history.get("size_mm", np.zeros(len(travel)))
+    coarse = (sizes > sizes[-1] * (1 + 1e-9))[first:n]
+    same = first + int(coarse.sum()) if coarse.any() else n  # rows of the way there
+    axes.plot(travel[first:same], force[first:same], **look, label=label)
+    if same < n:
+        step = {"color": look["color"], "linestyle": ":", "linewidth": 0.9}
+        axes.plot(travel[same - 1 : n], force[same - 1 : n], **step)
+        axes.plot(travel[same:n], force[same:n], **look | {"linestyle": ""})
     if n < len(travel):
         faded = {"color": look["color"], "linestyle": ":", "alpha": 0.6}
         axes.plot(travel[n - 1 :], force[n - 1 :], **faded, label=tail)
     if (error := run.history.get(f"force_error_{run.force_unit}")) is not None:
-        low, high = force - error, force + error
-        band = {"color": look["color"], "alpha": 0.15, "linewidth": 0}
-        axes.fill_between(travel[first:n], low[first:n], high[first:n], **band)
-    sizes = run.history.get("size_mm", np.zeros(len(travel)))
-    coarse = (sizes > sizes[-1] * (1 + 1e-9))[first:n]
+        bars = {"ecolor": look["color"], "elinewidth": 0.7, "capsize": 1.5, "fmt": "none"}
+        axes.errorbar(travel[first:n], force[first:n], error[first:n], **bars)
+        if axes.get_yscale() == "linear":
+            high = (f[first:n].max(initial=0.0) for f in (force + error, 1.5 * force))
+            axes.set_ylim(top=max(axes.get_ylim()[1], 1.05 * min(high)))
     if coarse.any():
         hollow = {**marks, "color": look["color"], "markerfacecolor": "white", "linestyle": ""}
         axes.plot(travel[first:n][coarse], force[first:n][coarse], **hollow)
@@ -531,7 +618,15 @@ def _draw_force_panel(axes: Axes, run: Record) -> None:
     scale_force(axes, force, force[: sound_rows(run)])
     known = off_axis_theory(run)
     look = CURVE | {"marker": "o", "linestyle": "-"}
+    sizes = run.history.get("size_mm", np.zeros(1))
+    if (sizes > sizes[-1] * (1 + 1e-9)).any():
+        look["markersize"] = 3.5
+        hollow = {"marker": "o", "linestyle": "", "markersize": 3.5, "color": FIRST}
+        axes.plot([], [], mfc="white", label=f"path, {sizes.max():.3g} mm mesh", **hollow)
+        axes.plot([], [], label=f"end, {sizes[-1]:.3g} mm mesh", **hollow)
     draw_force(axes, run, look, "computed" if known else None, "collapsed:\nforce not meaningful")
+    if f"force_error_{run.force_unit}" in run.history:
+        axes.errorbar([], [], [], fmt="none", ecolor=FIRST, capsize=1.5, label="mesh error")
     if known:
         u, _, f = known
         axes.plot(u, f, **THEORY, label="power balance,\ninextensible fibres")

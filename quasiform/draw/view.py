@@ -1,11 +1,14 @@
 """An interactive picture of a sheet: turned, zoomed and probed in a browser, by plotly.
 
 The pointer shows the angle, the place on the flat blank and the fibre strains of a triangle. Plotly
-and jinja2 are needed (extra `report`); the page holds its script, so nothing is loaded.
+and jinja2 are needed (extra `report`). The page has a choice of fields, a slider over the travel
+and the tools; it holds its script and its numbers, compressed, so nothing is loaded.
 """
 
 from __future__ import annotations
 
+import base64
+import gzip
 from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
@@ -17,7 +20,9 @@ from matplotlib.colors import to_hex
 from ..checks import InputError
 from ..result.files import writing_to
 from ..result.record import Record
+from ..result.sheet import FormedSheet
 from . import plot
+from .overlay import tool_faces
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
@@ -30,6 +35,9 @@ HOVER = (
     "X = %{customdata[1]:.1f}, Y = %{customdata[2]:.1f} mm on the flat blank<br>"
     "E11 = %{customdata[3]:.1e}, E22 = %{customdata[4]:.1e}<extra></extra>"
 )
+AXIS = {"showbackground": False, "gridcolor": "#e4e4e4", "zeroline": False, "nticks": 5}
+AXIS |= {"tickfont": {"size": 10}, "showspikes": False}
+BUDGET = 2_300_000  # bytes of numbers in a page, before they are compressed
 ABOVE = 0.006  # of the extent: how far lines lie off the sheet, to be seen on it
 LIGHT_FROM = {"x": -3e4, "y": -6e4, "z": -1e5}  # plotly lights the seen face from behind it
 LIGHT = {
@@ -96,7 +104,7 @@ def figure(run: Record) -> Figure:
 
 
 def _layout(run: Record, room: float, *, legend: bool) -> dict[str, Any]:
-    """Equal scales along all axes around the sheet with some room, mm, and no axes."""
+    """Equal scales along all axes around the sheet with some room, mm."""
     low, high = run.sheet.points.min(0), run.sheet.points.max(0)
     half = 0.5 * (high - low) + room
     ends = ((low + high) / 2 + half * [[-1.0], [1.0]]).T.tolist()
@@ -107,7 +115,7 @@ def _layout(run: Record, room: float, *, legend: bool) -> dict[str, Any]:
         "dragmode": "orbit",
     }
     for axis, between in zip("xyz", ends, strict=True):
-        scene[f"{axis}axis"] = {"visible": False, "range": between}
+        scene[f"{axis}axis"] = AXIS | {"title": {"text": f"{axis} in mm"}, "range": between}
     return {
         "template": "none",
         "margin": dict.fromkeys("lrbt", 0),
@@ -133,13 +141,153 @@ def save(run: Record, path: str | Path) -> Path:
     from jinja2 import Environment
     from plotly.offline import get_plotlyjs
 
+    numbers = _Numbers()
+    content = _content(run, numbers)
+    low, high = content["low"], content["high"]
+    half = 0.5 * np.subtract(high, low) + 0.01
+    drawn.layout.scene.aspectratio = dict(zip("xyz", 1.6 * half / half.max(), strict=True))
+    for axis, *between in zip("xyz", low, high, strict=True):
+        drawn.layout.scene[f"{axis}axis"].range = between
+    for trace in drawn.data:  # the numbers of all states are in the block
+        trace.update(dict.fromkeys("xyz"))
+    drawn.data[0].update(dict.fromkeys(("i", "j", "k", "intensity", "customdata")))
     page = Environment(autoescape=True).from_string(PAGE.read_text(encoding="utf-8"))
     parts = {"title": run.case, "words": words(run), "figure": drawn.to_json()}
-    text = page.render(**parts, script=get_plotlyjs())
+    parts |= {"content": content, "numbers": numbers.packed(), "tools": content["tools"]}
+    text = page.render(**parts, script=_packed(get_plotlyjs().encode()))
     path = Path(path)
     with writing_to(path):
         path.write_text(text, encoding="utf-8")
     return path
+
+
+class _Numbers:
+    """Arrays in one block: whole numbers in four bytes, others between two bounds in two."""
+
+    def __init__(self) -> None:
+        self._parts: list[bytes] = []
+        self.size = 0
+
+    def add(self, values: np.ndarray) -> dict[str, Any]:
+        """Append an array; returns where it is, and how its numbers are read."""
+        flat = np.ravel(values)
+        entry: dict[str, Any] = {"at": self.size, "n": len(flat)}
+        if flat.dtype.kind in "iu":
+            part = flat.astype("<i4").tobytes()
+        else:
+            known = flat[np.isfinite(flat)]
+            low, high = (float(f(known)) if len(known) else 0.0 for f in (np.min, np.max))
+            step = max(high - low, 1e-12) / 65534
+            levels = np.where(np.isfinite(flat), np.round((flat - low) / step), 65535)
+            part = levels.astype("<u2").tobytes() + b"\0\0" * (len(flat) % 2)
+            entry |= {"low": low, "step": step}
+        self._parts.append(part)
+        self.size += len(part)
+        return entry
+
+    def packed(self) -> str:
+        """Return the block, compressed."""
+        return _packed(b"".join(self._parts))
+
+
+def _packed(content: bytes) -> str:
+    return base64.b64encode(gzip.compress(content, 9, mtime=0)).decode()
+
+
+def _content(run: Record, numbers: _Numbers) -> dict[str, Any]:
+    """What the page draws besides the last sheet: states, fields and tools."""
+    chosen = _chosen(run)
+    meshes: list[dict[str, Any]] = []
+    states, seen, last = [], [], None
+    ranges: dict[str, list[float]] = {}
+    for k in chosen:
+        sheet = run.sheets[k]
+        if last is None or not np.array_equal(sheet.triangles, last):
+            last = sheet.triangles
+            meshes.append(_mesh(sheet, numbers))
+        found = _fields(run, sheet)
+        for name, values in found.items():
+            known = values[np.isfinite(values)]
+            ends = [*ranges.get(name, []), known.min(), np.quantile(known, 0.998)]
+            ranges[name] = [float(min(ends)), float(max(ends))]
+        fields = {name: numbers.add(values) for name, values in found.items()}
+        points = {"x": numbers.add(sheet.points), "fields": fields, "mesh": len(meshes) - 1}
+        states.append(points | {"travel": float(run.sheets.travels[k])})
+        seen += [sheet.points.min(0), sheet.points.max(0)]
+    ranges["shear"] = [0.0, plot.scale_end([run.sheet])]
+    tools = []
+    for name, motion, x, y, z in tool_faces(run):
+        corners = np.stack([*np.meshgrid(x, y), z], axis=-1)
+        tools.append({"name": name, "driven": motion == "driven", "z": numbers.add(z)})
+        tools[-1] |= {"x": x.tolist(), "y": y.tolist()}
+        seen += [np.nanmin(corners, (0, 1)), np.nanmax(corners, (0, 1))]
+    room = 2 * ABOVE * plot.extent(run.sheet)
+    return {
+        "low": (np.min(seen, axis=0) - room).tolist(),
+        "high": (np.max(seen, axis=0) + room).tolist(),
+        "states": states,
+        "meshes": meshes,
+        "tools": tools,
+        "ranges": ranges,
+        "travel": "load factor" if run.force_unit == "mJ" else plot.words_of(run)[0],
+        "unit": " mm" if run.force_unit == "N" else "",
+        "above": ABOVE * plot.extent(run.sheet),
+        "fields": [(name, *FIELDS[name]) for name in FIELDS if name in ranges],
+        "doubts": [(colour, words) for colour, words, _ in plot.limits_of(run).values()],
+    }
+
+
+FIELDS = {  # in the choice of the page: name and unit
+    "shear": ("shear angle |γ|", "°"),
+    "weight": ("areal weight", "g/m²"),
+    "warp": ("warp direction from x, seen along z", "°"),
+    "weft": ("weft direction from x, seen along z", "°"),
+    "pressure": ("contact pressure", "MPa"),
+    "error": ("mesh error of the shear angle", "°"),
+    "limit": ("limits of the shear angle", ""),
+}
+
+
+def _chosen(run: Record) -> list[int]:
+    """Numbers of the sheets of the page: as many as it can hold, evenly, with both ends."""
+    bytes_each = 2 * (3 * len(run.sheet.points) + 7 * len(run.sheet.triangles))
+    count = int(np.clip(BUDGET // bytes_each, 2, len(run.sheets)))
+    return sorted({round(k) for k in np.linspace(0, len(run.sheets) - 1, count)})
+
+
+def _mesh(sheet: FormedSheet, numbers: _Numbers) -> dict[str, Any]:
+    """Triangles, the flat places of their middles, and lines of nodes with gaps of -1."""
+    lines = {"fibres": plot.shown_fibres(sheet), "outline": sheet.loops}
+    gap = np.array([-1])
+    return {
+        "triangles": numbers.add(sheet.triangles.T),
+        "flat": numbers.add(sheet.flat[sheet.triangles].mean(1)),
+        "lines": {
+            name: numbers.add(np.concatenate([part for line in found for part in (line, gap)]))
+            for name, found in lines.items()
+            if len(found)
+        },
+    }
+
+
+def _fields(run: Record, sheet: FormedSheet) -> dict[str, FloatArray]:
+    """Fields by triangle that the sheet has, by name; the shear angle is signed."""
+    cells, corners = sheet.cell_fields, sheet.triangles
+    found = {"shear": sheet.shear_angle}
+    if weight := run.fabric.get("areal_weight"):
+        found["weight"] = weight / np.maximum(sheet.area_ratio, 1e-6)
+    for name in ("warp", "weft"):
+        turn = np.degrees(np.arctan2(cells[name][:, 1], cells[name][:, 0]))
+        found[name] = turn
+    if run.has_tools and "contact_pressure" in sheet.point_fields:
+        found["pressure"] = np.ravel(sheet.point_fields["contact_pressure"])[corners].mean(1)
+    if "shear_angle_error" in cells:
+        found["error"] = np.ravel(cells["shear_angle_error"])
+    doubts = sheet.doubts()
+    found["limit"] = np.zeros(len(corners))
+    for k, name in enumerate(plot.DOUBTS, 1):
+        found["limit"][doubts[name]] = k
+    return found
 
 
 def _points(x: FloatArray) -> dict[str, FloatArray]:

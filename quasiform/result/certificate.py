@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..checks import number
 from .measures import LIFTED, bent_radius, chord_penetration, max_penetration
 from .outcome import Outcome
 from .stability import RESOLVED
@@ -18,12 +19,12 @@ FINE = 0.5 * 1.02  # of the smallest radius under the sheet, with 2 % for how it
 LOWER = 1e-3  # of the energy: what another state must have less
 WIDE = 0.2  # of a value: a mesh error beyond this limits the trust in it
 SMALL = 0.1  # N, degrees or mm: smaller errors are not reported
+JUDGED = 0.05, 2.0  # of a value, degrees: a larger mesh error judges no scatter
 SHARE = 0.005  # of the area: less is not reported
 WRINKLED = "wrinkled, one of many states: perturbed starts show what is robust"
-ROBUST = {"robust": True}  # a quantity without perturbed runs
+ROBUST = {"robust": True, "judged": True}  # a quantity without perturbed runs
 FINER = "finer than the mesh shows (wavelengths from {shown:.3g} mm on)"
 LIMITED = {
-    "beyond_identified_range": "sheared beyond {range:g}°, the tested range of the law",
     "bands_may_form": f"so soft in shear that bands may form, {FINER}",
     "rovings_may_slip": "sheared so unevenly that rovings may slip",
     "fibres_may_buckle": f"so compressed that fibres may buckle, {FINER}",
@@ -85,9 +86,9 @@ def certify(result: Outcome) -> Certificate:
     chord, radius = figures["fibre_chord_mm"], figures["smallest_radius_mm"]
     size = model.sheet.blank.size
     given, own = result.settings.get("increment"), model.increment
-    scattered = [
-        name for name in result.quantities if not result.spread.get(name, ROBUST)["robust"]
-    ]
+    starts = {name: result.spread.get(name, ROBUST) for name in result.quantities}
+    scattered = [name for name, entry in starts.items() if entry["judged"] > entry["robust"]]
+    unjudged = [name for name, entry in starts.items() if not entry["judged"]]
     collapse = f"{result.collapse['travel_mm']:.4g}" if result.collapse else ""
     open_balance = f"energy balance open by {100 * result.energy_balance:.1f} %"
     steps = f"friction follows its path in increments of {own:g} mm, not {given or 0:g}"
@@ -108,6 +109,8 @@ def certify(result: Outcome) -> Certificate:
         f"collapsed from {collapse} mm on": bool(collapse),
         steps: too_long,
         f"perturbed starts scatter in {', '.join(scattered)}": bool(scattered),
+        "perturbed starts do not show whether the numbers are robust: the mesh error is large in "
+        f"{', '.join(unjudged)}": bool(unjudged),
         f"a perturbed start found a state with {result.lower:.3g} mJ less": (
             result.lower > LOWER * abs(result.energy)
         ),
@@ -144,7 +147,8 @@ def one_of_many(result: Outcome) -> str:
     signs, snaps = [], result.snaps
     apart = result.parted > LIFTED * result.model.sheet.fabric.thickness
     if apart and (saddles := result.rescues.get("saddle left", 0)):
-        signs.append(f"{saddles} saddle{'s were' if saddles > 1 else ' was'} left on the way")
+        times = "once" if saddles == 1 else f"{saddles} times"
+        signs.append(f"the sheet became unstable and buckled away {times}")
     if snaps:
         signs.append(
             f"the sheet jumped {len(snaps)} time{'s' * (len(snaps) > 1)}, first near "
@@ -154,7 +158,7 @@ def one_of_many(result: Outcome) -> str:
         signs.append(f"the flange lifts by {result.flange_lift:.2f} mm")
     if _buckled(result):
         signs.append(f"the sheet has buckled by {result.wrinkles['buckle_mm']:.3g} mm")
-    if scattered := [name for name, entry in result.spread.items() if not entry["robust"]]:
+    if scattered := [k for k, entry in result.spread.items() if entry["judged"] > entry["robust"]]:
         signs.append(f"perturbed starts scatter in {', '.join(scattered)}")
     return "; ".join(signs)
 
@@ -178,25 +182,47 @@ def spoken(quantity: str) -> str:
     return known.get(quantity) or f"the {what.get(kind, kind)} {place}"
 
 
+def small(quantity: str, value: float) -> float:
+    """Largest error of the mesh by which the scatter of a quantity is judged, in its unit."""
+    share, angle = JUDGED
+    return max(share * abs(value), angle if quantity.endswith("_deg") else SMALL)
+
+
 def trust(result: Outcome) -> list[str]:
-    """What limits the numbers of a run, one sentence each."""
-    found = [
-        f"the mesh error of {spoken(name)} is {error:.2g} at a value of {value:.3g}"
+    """What limits the numbers of a run, one sentence each, the worst first."""
+    largest, known = np.abs(result.shear_angle).max(), result.model.sheet.fabric.shear_range
+    areas, doubts = result.blank.areas / result.blank.areas.sum(), result.sheet.doubts()
+    found = []
+    if largest > known:
+        share = 100 * areas @ doubts["beyond_identified_range"]
+        found.append(
+            f"the largest shear angle is {largest:.1f}°, the law was tested to {known:g}° "
+            f"({number(share, 2)} % of the area is beyond)"
+        )
+    errors = {
+        name: (error, value)
         for name, value in result.quantities.items()
         if (error := result.estimate.get(name)) and error > max(WIDE * abs(value), SMALL)
-    ]
+    }
+    for name in sorted(errors, key=lambda name: -errors[name][0] / max(abs(errors[name][1]), 1e-9)):
+        error, value = errors[name]
+        found.append(
+            f"the mesh error of {spoken(name)} is {number(error, 2)} at a value of "
+            f"{number(value, 3)}"
+        )
+    if not any(error is not None for error in result.estimate.values()):
+        found.append("the mesh error is not known")
     for name, values in result.in_plane.items():
         (r, value), (other, changed) = values.items()
         if result.estimate.get(name) and abs(value - changed) > result.estimate[name]:
             found.append(
-                f"{spoken(name)} depends on in_plane_bending (assumed): {value:.4g} with {r}, "
-                f"{changed:.4g} with {other}"
+                f"{spoken(name)} depends on in_plane_bending (assumed): {number(value)} with {r}, "
+                f"{number(changed)} with {other}"
             )
-    areas = result.blank.areas / result.blank.areas.sum()
-    for reason, flag in result.sheet.doubts().items():
+    for reason, flag in doubts.items():
         if reason in LIMITED and (share := areas @ flag) >= SHARE:
-            shown, known = RESOLVED * result.blank.size, result.model.sheet.fabric.shear_range
-            words = LIMITED[reason].format(range=known, shown=shown)
+            shown = RESOLVED * result.blank.size
+            words = LIMITED[reason].format(shown=shown)
             found.append(f"{100 * share:.0f} % of the area is {words}")
     if many := one_of_many(result):
         found.append(f"one of many states: {many}")

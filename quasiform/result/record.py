@@ -182,8 +182,13 @@ class Record:
     def reasons(self) -> list[str]:
         """Why its last sheet is not certified."""
         if not self.at_end:
-            return ["only the end of a run is"]
+            return ["not the end of the run, which alone is checked"]
         return [] if self.certified else self.summary["certificate"]["reasons"] or ["unknown"]
+
+    @property
+    def limits(self) -> list[str]:
+        """What limits the trust in its last sheet, the worst first."""
+        return [*self.reasons, *(self.summary["trust"] if self.at_end else ())]
 
     @property
     def in_plane(self) -> bool:

@@ -2,7 +2,7 @@
 
 A sheet that wrinkles, bands or snaps has many states of equilibrium, and which one is found hangs
 on what no model knows. Quantities that scatter within the estimated error of the mesh are robust;
-the others are one sample.
+the others are one sample. A large error of the mesh makes nothing robust: nothing is judged then.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ..checks import check_number
+from ..result.certificate import small
 from ..result.run import Result
 from .increments import Callback, follow, report
 from .run import Settings
@@ -42,8 +43,9 @@ def spread(
     -------
     dict by quantity
         `low` and `high` over all runs, the unperturbed one too; `stopped`, how many did not reach
-        the end and are left out; and `robust`: whether half the range is within the estimated error
-        (within 1 % where there is none).
+        the end and are left out; `judged`: whether the estimated error of the mesh is small (5 % of
+        the value, 2 degrees, or 0.1 N or mm); and `robust`: judged, and half the range is within
+        this error (within 1 % where there is no estimate).
     """
     check_number("amplitude", amplitude)
     base = result.path or result
@@ -63,10 +65,12 @@ def spread(
         low, high = min(values), max(values)
         error = result.estimate.get(name)
         allowed = 0.01 * max(abs(low), abs(high)) if error is None else error
+        judged = allowed <= small(name, result.quantities.get(name, high))
         table[name] = {
             "low": low,
             "high": high,
-            "robust": bool(len(values) == len(found) and 0.5 * (high - low) <= allowed),
+            "judged": bool(judged),
+            "robust": bool(judged and len(values) == len(found) and 0.5 * (high - low) <= allowed),
             "stopped": len(runs) - len(ended),
         }
     result.spread, result.lower = table, base.energy - min(run.energy for run in ended)

@@ -137,7 +137,8 @@ def _frames() -> tuple[dict[str, float], dict[str, tuple[np.ndarray, np.ndarray]
         frames = {lab: _at(u, *curve) for lab, curve in curves.items()}
         for lab, force in frames.items():
             if np.isfinite(force):
-                found[f"frame {lab.upper()} over strip INSA at {degrees} deg"] = force / strips[0]
+                name = f"force of the strip of INSA predicted from the frame of {lab.upper()}"
+                found[f"{name}, over measured at {degrees} deg"] = force / strips[0]
         for kind, forces in (("frames", [*frames.values()]), ("strips", strips)):
             ratio = np.nanmax(forces) / np.nanmin(forces)
             found[f"scatter of the {kind}, largest over smallest at {degrees} deg"] = float(ratio)
