@@ -68,6 +68,8 @@ class Model:
         Largest size at which the path is worth following, mm.
     outputs : dict of str to bool
         Whether `pictures` and `increments` are written by default.
+    files : dict of path to SHA-256
+        Files of tools, outlines and meshes, as they were read.
     tools : optional
         Those of the whole sheet, for the same model on another mesh.
     recipe : Recipe, optional
@@ -98,6 +100,7 @@ class Model:
     edges: dict[str, EdgePoint] = field(default_factory=dict)
     coarsest: float = 0.0
     outputs: dict[str, bool] = field(default_factory=lambda: {"pictures": True, "increments": True})
+    files: dict[str, str] = field(default_factory=dict)
     tools: Any = None
     recipe: Any = None
     built: str = ""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import singledispatch
 from hashlib import sha256
@@ -84,10 +84,7 @@ class Recipe:
         paths = []
         for _, value in self.given:
             paths += [value] if isinstance(value, Path) else getattr(value, "files", list)()
-        return {
-            str(Path(path).absolute()): sha256(Path(path).read_bytes()).hexdigest()
-            for path in paths
-        }
+        return checksums(paths)
 
     @property
     def digest(self) -> str:
@@ -97,6 +94,12 @@ class Recipe:
 
     def __hash__(self) -> int:
         return hash((self.builder, repr(self.given), self.size, self.changes))
+
+
+def checksums(paths: Iterable[str | Path]) -> dict[str, str]:
+    """SHA-256 of files by their absolute paths; those that are not there are left out."""
+    there = [path for path in map(Path.absolute, map(Path, paths)) if path.is_file()]
+    return {str(path): sha256(path.read_bytes()).hexdigest() for path in there}
 
 
 def built(builder: Builder, size: float, **given: Any) -> Model:

@@ -78,6 +78,22 @@ def _check(value: Any, depth: int = 0) -> None:
             _check(inner, depth + 1)
 
 
+def dotted_values(value: Any, name: str = "") -> dict[str, Any]:
+    """Values in a table by their dotted names, entries of lists of tables counted from 1.
+
+    >>> dotted_values({"blank": {"holes": [{"radius": 3.0}]}})
+    {'blank.holes.1.radius': 3.0}
+    """
+    if isinstance(value, list) and any(isinstance(entry, Mapping) for entry in value):
+        value = {str(i): entry for i, entry in enumerate(value, 1)}
+    if not isinstance(value, Mapping):
+        return {name: value}
+    found: dict[str, Any] = {}
+    for key, inner in value.items():
+        found |= dotted_values(inner, f"{name}.{key}" if name else key)
+    return found
+
+
 def toml_text(table: Mapping[str, Any], comments: Mapping[str, str] | None = None) -> str:
     """Return a table as the text of a TOML file; lists of tables and tables come last.
 

@@ -281,7 +281,8 @@ def assert_complete(folder, keys, columns):
     """Check the files of a run against the contract and against each other."""
     names = set(contents(folder))
     increments = sorted(name for name in names if name.startswith("increment_"))
-    assert names == FILES | set(increments)
+    assert names - {"scene.toml"} == FILES | set(increments)
+    assert ("scene.toml" in names) == ("draw_in_mm" in keys)
     with (folder / "outline.csv").open(encoding="utf-8", newline="") as file:
         header, *rows = csv.reader(file)
     assert header == ["loop", "x_mm", "y_mm", "z_mm"]
@@ -480,7 +481,7 @@ def test_a_file_says_which_outputs_it_wants(capsys, here):
     assert main(["form", "mine.toml"]) == 0
     out, _ = capsys.readouterr()
     assert out.startswith("writing to my-tool-90\n")
-    assert set(contents(here / "my-tool-90")) == FILES - PICTURES
+    assert set(contents(here / "my-tool-90")) == (FILES | {"scene.toml"}) - PICTURES
     (told,) = re.findall(r"files in my-tool-90: (.*)", out)  # and no others are told
     assert {name for name in FILES if name in told} == FILES - PICTURES
     assert "increment_" not in Path("my-tool-90/result.pvd").read_text(encoding="utf-8")

@@ -208,6 +208,28 @@ def test_a_mirror_plane_maps_outline_and_every_tool_onto_itself(punch, place, ou
     assert qf.forming(file, size=20).sheet.blank.mirror == mirror
 
 
+@pytest.mark.parametrize(
+    ("dx", "mirror", "words"),
+    [
+        (0.02, ("x", "y"), "tools are mirrored within 0.04 mm at the planes across the warp and"),
+        (0.2, ("y",), "across the warp the punch differs by 0.4 mm (0.05 allowed)"),
+    ],
+)
+def test_a_nearly_mirrored_tool_is_mirrored_or_named(dx, mirror, words):
+    file = changed(travel=20.0)
+    punch = replace(file.tools[0], place=(dx, 0.0))
+    made = qf.forming(replace(file, tools=[punch, *file.tools[1:]]), size=30)
+    assert made.sheet.blank.mirror == mirror
+    assert words in words_of(made)
+
+
+def test_a_sharp_tool_says_its_radius_the_size_that_resolves_it_and_the_cost():
+    words = words_of(qf.forming("hemisphere", size=20))
+    assert "smallest radius 10 mm, of the die: a size of at most 5 resolves it" in words
+    assert "at about 26 times the time of an iteration" in words  # (2 · 19.4 / 10) ** 2.4
+    assert "smallest radius" not in words_of(qf.forming("hemisphere", size=5))
+
+
 def test_supports_and_grippers_ask_for_the_whole():
     for part in (
         {"supports": [Support(Where(side="+x"), "z")]},

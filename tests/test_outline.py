@@ -79,8 +79,11 @@ def test_holes():
     assert plate.area == pytest.approx(box.area - 2 * holes[0].area)
     with pytest.raises(InputError, match=r"hole 2 near \(-8, 0\) does not lie inside"):
         outline.with_holes(box, [holes[0], outline.disc(4.0, (-8.0, 0.0))])
-    with pytest.raises(InputError, match="hole 1 near"):
+    with pytest.raises(InputError, match="hole 1 near"):  # it touches the edge
         outline.with_holes(box, [outline.disc(4.0, (16.0, 0.0))])
+    notched = outline.with_holes(box, [outline.disc(4.0, (20.0, 0.0))])
+    assert notched.area == pytest.approx(box.area - holes[0].area / 2, rel=1e-3)
+    assert not notched.interiors
 
 
 # Drawings

@@ -157,6 +157,7 @@ def test_missing_scene_is_said(folders, tmp_path):
     root, _ = folders
     shutil.copytree(root / "dome", tmp_path / "dome")
     summary = json.loads((tmp_path / "dome" / "summary.json").read_text())
+    (tmp_path / "dome" / "scene.toml").unlink()  # as in results of version 0.1.0
     summary["parameters"]["scene"] = "gone.toml"
     (tmp_path / "dome" / "summary.json").write_text(json.dumps(summary))
     (note,) = pictures.save([Record.read(tmp_path / "dome")], tmp_path, only=["outline"])

@@ -310,3 +310,34 @@ def test_a_result_is_kept_before_its_error_is_estimated(tmp_path, monkeypatch):
     result = qf.solve(forming(), out=tmp_path, resume=True)
     assert readable(tmp_path)["estimated_errors"]["force_N"] == result.estimate["force_N"] > 0
     assert not (tmp_path / "resume.npz").exists()
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+@pytest.mark.parametrize("wait", ["increment_0000.vtu", "increment_0002.vtu"])
+def test_an_interrupted_command_says_so_in_a_line_and_keeps_its_increments(tmp_path, name, wait):
+    words = ["form", "hemisphere", "--size", "12", "--no-estimate", "--out", str(tmp_path / "out")]
+    command = [sys.executable, "-m", "quasiform", *words]
+    with subprocess.Popen(command, stdout=-1, stderr=-1, text=True, cwd=tmp_path) as run:
+        while not (tmp_path / "out" / wait).exists() and run.poll() is None:
+            time.sleep(0.02)
+        run.send_signal(getattr(signal, name))
+        out, err = run.communicate()
+    assert run.returncode == 3, err
+    assert "Traceback" not in err
+    summary = readable(tmp_path / "out")
+    assert "interrupted" in summary["reason"]
+    assert "interrupted" in out
+    assert summary["reached_mm"] >= (10 if wait.endswith("2.vtu") else 0)
+    if summary["reached_mm"] == 0:
+        assert "0.00" not in out
+
+
+def test_a_disk_that_is_full_from_the_start_is_one_line(tmp_path, monkeypatch, capsys):
+    def full(self, folder, since=0):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(qf.Result, "write", full)
+    out = str(tmp_path / "out")
+    assert main(["oat", "--size", "40", "--displacement", "20", "--out", out]) == 3
+    last = capsys.readouterr().out.strip().splitlines()[-1]
+    assert last == f"stopped at 0 of 20 mm: cannot write to {out}: No space left on device"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -16,6 +17,7 @@ from ..meshes.shells import counted
 from ..result.files import replaced
 from ..result.sheet import FormedSheet
 from ..result.summary import package_version
+from ..toml_file import dotted_values
 from .differences import (
     COLUMNS,
     Row,
@@ -43,6 +45,7 @@ BANDS = (  # with a word in the quantities that they are for
     ("band_outline", "outline", "outline"),
     ("band_force", "force", "force"),
 )
+MOST = 5  # keys of two scenes that are listed
 ON_SHEET = 0.9  # of the reference: with less of it on the result they are hardly in one place
 
 
@@ -276,9 +279,27 @@ def _in_place(
     if align != "none":
         theirs, words = aligned(theirs, sheet, align == "rigid")
         notes.append(f"reference {words}")
-    if mine.scene and other.scene and mine.scene != other.scene:
-        notes.append(f"two scenes: {mine.scene} (result) and {other.scene} (reference)")
+    notes += _scenes_differ(mine.scene, other.scene)
     return sheet, theirs, notes
+
+
+def _scenes_differ(mine: str, other: str) -> list[str]:
+    """What differs between the scenes of two runs: keys of their files, or names."""
+    if not mine or not other or mine == other:
+        return []
+    if "\n" not in mine or "\n" not in other:  # the name alone is known of one of them
+        names = [tomllib.loads(text)["name"] if "\n" in text else text for text in (mine, other)]
+        words = f"two scenes: {names[0]} (result) and {names[1]} (reference)"
+        return [words] if names[0] != names[1] else []
+    tables = [dotted_values(tomllib.loads(text)) for text in (mine, other)]
+    differ = [
+        f"{key} ({tables[0].get(key, 'none')}, {tables[1].get(key, 'none')})"
+        for key in sorted(tables[0].keys() | tables[1].keys())
+        if tables[0].get(key) != tables[1].get(key) and not key.startswith("run.")
+    ]
+    more = f" and {len(differ) - MOST} more keys" if len(differ) > MOST else ""
+    words = f"the scenes (result, reference) differ in {', '.join(differ[:MOST])}{more}"
+    return [words] if differ else []
 
 
 def _off_sheet(share: float, of_result: bool, align: str, left_out: Mapping[str, int]) -> list[str]:

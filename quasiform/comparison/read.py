@@ -184,12 +184,12 @@ def _history(columns: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
 
 
 def _of_record(record: Record, reading: Reading) -> Side:
-    where, parameters = record.folder or "the result", record.parameters
+    where = record.folder or "the result"
     return replace(
         _of_sheets(record.name, record.sheets, reading, where),
         history=_history(record.history),
         areas=record.areas,
-        scene=str(parameters.get("scene_file") or parameters.get("scene", "")),
+        scene=record.resolved,
         locking=record.locking,
     )
 

@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import os
 import re
+import signal
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+import tomllib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, astuple, dataclass, replace
 from importlib import import_module
@@ -19,6 +21,7 @@ from itertools import count
 from math import isfinite
 from pathlib import Path
 from time import perf_counter
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_origin
 
 from cyclopts import App, CycloptsError, Group, Parameter, Token
@@ -49,6 +52,9 @@ app.register_install_completion_command(help="Add completion to your shell's sta
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit status."""
     words, status = sys.argv[1:] if argv is None else list(argv), 2
+    before: Any = signal.SIG_DFL
+    with suppress(ValueError):  # not in the main thread
+        before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         if not words:
             names = [name for name in app if not name.startswith("-")]
@@ -64,6 +70,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         message, status = "interrupted: only what was written before is kept", 3
     finally:
+        with suppress(ValueError):
+            signal.signal(signal.SIGTERM, before)
         while CLAIMS:
             CLAIMS.pop().release()
     print("quasiform:", message, file=sys.stderr)
@@ -190,6 +198,16 @@ def _disc(text: str) -> tuple[str, tuple[tuple[float, float], float]]:
     raise ValueError(f"expected NAME=X,Y,RADIUS in mm, got '{text}'")
 
 
+def _override(text: str) -> tuple[str, Any]:
+    """KEY=VALUE; a value that is none of TOML is a text."""
+    key, _, value = (part.strip() for part in text.partition("="))
+    if not key or not value:
+        raise ValueError(f"expected KEY=VALUE such as tools.holder.mass=8, got '{text}'")
+    with suppress(ValueError):
+        return key, tomllib.loads(f"value = {value}")["value"]
+    return key, value
+
+
 def _or_file(*names: str) -> Callable[[object], list[str]]:
     """Completion by names, and by the TOML files of the working directory."""
     return lambda _: [*names, *(str(path) for path in sorted(Path().glob("*.toml")))]
@@ -211,6 +229,7 @@ Keep = Annotated[
 Columns = Annotated[
     dict[str, str], _pairs("quantity", "records", str, "NAME=WORD,... such as force=3")
 ]
+Overrides = Annotated[list[tuple[str, Any]], word(_override, "KEY=VALUE")]
 Discs = Annotated[list[tuple[str, Any]], word(_disc, "NAME=X,Y,RADIUS")]
 MESH = Group("Mesh", validator=LimitedChoice())
 PRODUCT = Group("What to write", validator=LimitedChoice(1))
@@ -258,8 +277,8 @@ class Solver(Output):
     """A quick answer with a wider error: twice the size, twice the increments."""
     dry_run: bool = False
     """Print the model and the expected time; solve and write nothing."""
-    linear: Literal["auto", "pardiso", "superlu"] = "auto"
-    """Linear solver, for experts."""
+    linear: Literal["auto", "pardiso", "superlu"] | None = None
+    """Linear solver, for experts (auto)."""
 
 
 @Parameter(name="*")
@@ -275,6 +294,14 @@ class Scene:
     travel: Annotated[Length | None, about("Travel of the punch.")] = None
     symmetry: Literal["auto", "none"] | None = None
     """Model a half or a quarter where everything is mirrored (auto), or always the whole."""
+    set: Overrides | None = None
+    """Another value of a key of the scene, such as tools.holder.mass=8 or fabric.friction=0.2."""
+
+    def model(self, scene: str, **run: Any) -> qf.Model:
+        """Build the model of a scene; `run` is how it is solved, where that is given."""
+        given = {f"run.{key}": value for key, value in run.items() if value is not None}
+        overrides = dict(self.set or ()) | given
+        return qf.forming(scene, *astuple(self)[:-1], overrides=overrides)
 
 
 @app.command
@@ -309,8 +336,17 @@ def form(
     solver: Solver = Solver(),
 ) -> int:
     """Forming test with a punch, a die and a blank holder."""
-    model = qf.forming(scene, *astuple(options))
-    return _solve(model, solver, accuracy, seeds, one_mesh=options.size is not None)
+    model = options.model(
+        scene,
+        increment=solver.increment,
+        accuracy=accuracy,
+        linear=solver.linear,
+        seeds=seeds,
+        one_mesh=True if options.size is not None else None,
+        estimate=False if solver.no_estimate else None,
+        draft=solver.draft or None,
+    )
+    return _solve(model, solver, dict(model.recipe.given)["file"].run)
 
 
 @Parameter(name="*")
@@ -494,7 +530,7 @@ def export(
 
     path, force = Path(source), output.force
     if deck:
-        model = qf.forming(source, *astuple(options))
+        model = options.model(source)
         file = f"{_case(model.name)}.inp"
         folder = output.folder(f"{model.name}-deck", (file,))
         terminal.say(f"writing to {folder}")
@@ -678,32 +714,27 @@ DRAFT = 2.0  # times the size and the increments
 OPTIONS = ("increment", "accuracy", "linear", "seeds", "one_mesh", "estimate")
 
 
-def _solve(
-    model: qf.Model,
-    solver: Solver,
-    accuracy: float | None = None,
-    seeds: int | None = None,
-    one_mesh: bool = True,
-) -> int:
-    """Solve a model, or describe it."""
-    if accuracy and solver.no_estimate:
+def _solve(model: qf.Model, solver: Solver, run: Mapping[str, Any] = MappingProxyType({})) -> int:
+    """Solve a model, or describe it; `run` is how its scene says that it is solved."""
+    own = {"increment": solver.increment, "linear": solver.linear or "auto"}
+    own |= {"accuracy": None, "seeds": None, "one_mesh": not model.contacts}
+    options = own | {"estimate": not solver.no_estimate} | dict(run)
+    accuracy = options["accuracy"]
+    if accuracy and not options["estimate"]:
         raise InputError("--accuracy needs the error estimate: drop --no-estimate")
-    increment, estimate = solver.increment, not solver.no_estimate
-    if solver.draft:
+    if options.pop("draft", False) or solver.draft:
         if accuracy:
             raise InputError("--draft answers on a coarse mesh: drop --accuracy")
         model = model.recipe.build(DRAFT * model.size, like=model)
-        one_mesh, increment = True, increment or DRAFT * model.increment
-        estimate = estimate and "coarse"
-    given = (increment, accuracy, solver.linear, seeds, one_mesh, estimate)
+        options |= {"one_mesh": True, "estimate": options["estimate"] and "coarse"}
+        options["increment"] = options["increment"] or DRAFT * model.increment
     if not solver.dry_run:
-        options = dict(zip(OPTIONS, given, strict=True))
         journal = qf.Journal(solver.claim(model.name), options, force=solver.force)
         return _run(model, journal)
     from . import forecast
 
-    how = model, one_mesh, solver.linear, seeds or 0, increment, estimate
-    found = forecast.meshes(*how)
+    names = "one_mesh", "linear", "seeds", "increment", "estimate"
+    found = forecast.meshes(model, *(options[name] for name in names))
     lines = [terminal.describe(model), f"  expected time: {forecast.words(found)}"]
     if accuracy:
         lines.append("  and longer where --accuracy asks for a finer mesh than that")
@@ -730,7 +761,13 @@ def _run(model: qf.Model, journal: qf.Journal) -> int:
             except KeyboardInterrupt:
                 result = replace(result, reason="interrupted while perturbed starts were solved")
             journal.close(result)
-    terminal.say(terminal.report(result, perf_counter() - clock))
+    unwritten = "cannot write to" in result.reason
+    lines = terminal.report(result, perf_counter() - clock)
+    if unwritten or (result.reason and result.states[-1].travel == 0):
+        lines = lines.partition("\n")[0]  # there is no converged increment to report, or no room
+    terminal.say(lines)
+    if unwritten:
+        return 3
     if (folder / RESUME).exists():
         terminal.say(f"continue with: quasiform resume {folder}")
     more = f", {len(list(folder.glob(INCREMENTS)))} {INCREMENTS}"

@@ -43,7 +43,7 @@ def meshes(
     model: Model,
     one_mesh: bool,
     linear: str = "auto",
-    seeds: int = 0,
+    seeds: int | None = 0,
     increment: float | None = None,
     estimate: bool | str = True,
 ) -> tuple[Mesh, ...] | None:
@@ -56,7 +56,7 @@ def meshes(
     increments = model.travel / max(increment or 0.0, model.increment)
     path = (WITH_TOOLS if model.contacts else IN_PLANE) * max(increments, 1.0)
     models = [model] if one_mesh else levels.meshes(model)
-    solves = [path * (1 + seeds), *[CARRIED] * (len(models) - 1)]
+    solves = [path * (1 + (seeds or 0)), *[CARRIED] * (len(models) - 1)]
     with suppress(InputError):  # too coarse for the blank, or the user's own mesh
         if estimate and not model.changed:
             again = 2 if model.contacts and estimate is True else 1  # in-plane bending

@@ -25,6 +25,7 @@ from .blank import check_unit
 
 FloatArray = np.ndarray
 CHORD = 0.01  # mm, largest distance of a polygon from the curve it stands for
+TINY = 1e-6  # of a hole's area beyond the edge: it only touches
 GAP = 0.05  # mm, ends of lines nearer than this meet
 CURVES = ("LINE", "LWPOLYLINE", "POLYLINE", "ARC", "CIRCLE", "ELLIPSE", "SPLINE")
 NOT_DRAWN = ("DIMENSION", "LEADER", "MULTILEADER", "MLEADER", "ARC_DIMENSION", "ACAD_TABLE")
@@ -63,13 +64,21 @@ def polygon(points: Sequence[tuple[float, float]]) -> shapely.Polygon:
 
 
 def with_holes(outline: shapely.Polygon, holes: Iterable[shapely.Polygon]) -> shapely.Polygon:
-    """Cut holes out of an outline. InputError unless they lie inside without touching."""
+    """Cut holes out of an outline, and notches: holes that cross its edge.
+
+    InputError for a hole outside, on another hole or touching the edge, and for a notch that
+    divides the blank.
+    """
+    whole = shapely.Polygon(outline.exterior)
     for k, hole in enumerate(holes, 1):
-        if not outline.contains_properly(hole):
-            at = position(hole.centroid.coords[0])
+        at = f"hole {k} near {position(hole.centroid.coords[0])}"
+        notch = TINY < hole.difference(whole).area / hole.area < 1 - TINY
+        if not (notch or outline.contains_properly(hole)):
             words = "does not lie inside the outline, clear of its edge and of other holes"
-            raise InputError(f"hole {k} near {at} {words}")
+            raise InputError(f"{at} {words}; a notch is a hole that crosses the edge")
         outline = outline.difference(hole)
+        if not isinstance(outline, shapely.Polygon) or outline.is_empty:
+            raise InputError(f"{at} divides the blank")
     return outline
 
 

@@ -17,7 +17,8 @@ INCREMENTS = "increment_*.vtu"
 LOCK = ".lock"
 RESUME = "resume.npz"
 PICTURES = ("shear_angle.png", "history.png", "doubt.png")
-TABLES = ("summary.json", "history.csv", "outline.csv")
+SCENE = "scene.toml"
+TABLES = ("summary.json", SCENE, "history.csv", "outline.csv")
 FILES = (*TABLES, "result.vtu", "result.pvd", *PICTURES, RESUME)
 
 

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..checks import FORMAT, InputError, force_column, naming
+from .files import SCENE
 from .sheet import FormedSheet, read_sheets
 
 if TYPE_CHECKING:
@@ -112,10 +113,12 @@ class Record:
     def scene(self) -> str:
         """Name or file of its scene, wherever the working folder is.
 
-        A file is looked for where it was when the run was made, then where it was named from:
-        beside the run's folder and in it (they may have moved together), and from here. InputError
-        if it is in none of these places.
+        That is the scene in its folder. Versions before 0.2 wrote none; theirs is looked for where
+        it was when the run was made, then where it was named from: beside the run's folder and in
+        it (they may have moved together), and from here. InputError if it is nowhere.
         """
+        if self.folder is not None and (self.folder / SCENE).is_file():
+            return str(self.folder / SCENE)
         given, recorded = str(self.parameters["scene"]), self.parameters.get("scene_file")
         if self.folder is None or not given.endswith(".toml"):
             return given
@@ -126,6 +129,16 @@ class Record:
                 return str(path)
         looked = ", ".join(dict.fromkeys(str(path.parent) for path in places))
         raise InputError(f"{self.folder}: its scene {given} is in none of {looked}")
+
+    @property
+    def resolved(self) -> str:
+        """Its scene as TOML with every default, or what is known: its name or file."""
+        if self.folder is not None and (self.folder / SCENE).is_file():
+            return (self.folder / SCENE).read_text(encoding="utf-8")
+        from ..scenes.resolved import resolved  # pydantic
+
+        text = resolved(self.model, {}) if self.model is not None else ""
+        return text or str(self.parameters.get("scene_file") or self.parameters.get("scene", ""))
 
     @property
     def sheet(self) -> FormedSheet:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 
 from .certificate import Certificate, certify, one_of_many
 from .estimate import judged
-from .files import replaced
+from .files import SCENE, replaced
 from .outcome import Outcome, State
 from .record import Record, Sheets
 from .sheet import FormedSheet
@@ -94,6 +95,18 @@ class Result(Outcome):
             f"{self.model.travel:.4g}, {len(self.model.sheet.blank.triangles)} triangles, "
             f"{end.force:.4g} {self.model.force_name.rpartition('_')[2]}>"
         )
+
+    def _repr_html_(self) -> str:
+        """Key numbers as a table, for notebooks."""
+        head = f"<tr><th>{escape(self.model.name)}</th><th>{self.status}</th><th>± mesh</th></tr>"
+        columns = [self.table()[name] for name in ("quantity", "value", "estimated_error", "unit")]
+        rows = [
+            f"<tr><td>{escape(name)}</td><td>{value:.4g} {unit}</td>"
+            f"<td>{'' if error is None else f'{error:.2g}'}</td></tr>"
+            for name, value, error, unit in zip(*columns, strict=True)
+        ]
+        worth = escape(self.reason or str(self.certified))
+        return f"<table>{head}{''.join(rows)}</table><p>{worth}</p>"
 
     @property
     def certified(self) -> Certificate:
@@ -180,3 +193,8 @@ class Result(Outcome):
     def write(self, folder: Path, since: int = 0) -> None:
         """Write all but the pictures, meshes from number `since` on, into an existing folder."""
         self.record.write(folder, since, increments=self.model.outputs["increments"])
+        from ..scenes.resolved import resolved  # pydantic
+
+        run = {"increment": self.settings.get("increment"), "one_mesh": self.path is None}
+        if text := resolved(self.model, run):
+            (folder / SCENE).write_text(text, encoding="utf-8")

@@ -25,6 +25,7 @@ def summarise(result: Outcome, certificate: Certificate) -> dict[str, Any]:
         "version": package_version(),
         "format": FORMAT,
         "parameters": model.parameters,
+        "files": model.files,
         "status": result.status,
         "reached_mm": result.states[-1].travel,
         "reason": result.reason,

@@ -7,7 +7,7 @@ the tools.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from numbers import Real
 from pathlib import Path
@@ -30,14 +30,14 @@ from ..net import free_mesh
 from ..net.blank import Blank, cut, rotation
 from ..net.edges import edge_points
 from ..net.free_mesh import PAIRED
-from ..recipe import built, plain, reference
+from ..recipe import built, checksums, plain, reference
 from ..tools import tool_file
 from ..tools.shapes import Tool, turned
 from ..unknowns import Unknowns
 from . import scene_file
 from .blank_file import blank_from_file
 from .mechanics import check_mechanics
-from .room import check_clearance, mirror_planes
+from .room import check_clearance, mirror_planes, smallest_radius, what_resolves
 from .scene_file import SceneFile, SurfaceFile, ToolPart
 from .supports import fix_supports, grips, keep_middle
 
@@ -53,6 +53,7 @@ def forming(
     size: float | None = None,
     travel: float | None = None,
     symmetry: str | None = None,
+    overrides: Mapping[str, Any] | None = None,
 ) -> Model:
     """Forming of a blank between rigid tools.
 
@@ -72,6 +73,9 @@ def forming(
         Travel of the punch from first touch, mm; at most the file's own.
     symmetry : "auto", "half" or "none", optional
         Whether mirror planes of blank, fibres and tools are used: all, at most one, or none.
+    overrides : mapping of str to value, optional
+        Other values of keys of the scene, by dotted name: `{"tools.holder.mass": 8.0}`; those of
+        the fabric as `fabric.friction`.
 
     Returns
     -------
@@ -84,8 +88,17 @@ def forming(
         wavelength for its wrinkles and no stiffness before it is stretched.
     """
     name = scene.name if isinstance(scene, SceneFile) else str(scene)
-    file = scene if isinstance(scene, SceneFile) else scene_file.load(name)
-    fabric = fabric_of(law or file.law)
+    overrides = dict(overrides or {})
+    if law is not None and any(key.startswith("fabric.") for key in overrides):
+        overrides = {"law": "locking", "fabric": fabric_of(law).written(), **overrides}
+        law = None
+    if not isinstance(scene, SceneFile):
+        file = scene_file.load(name, overrides)
+    else:
+        file = scene_file.changed(scene, overrides) if overrides else scene
+    if isinstance(law, str):
+        file = replace(file, law=str(Path(law).absolute()) if law.endswith(".toml") else law)
+    fabric = fabric_of(file.law if law is None else law)
     size = file.size if size is None else size
     check_number("size", SIZE if size is None else size)
     orientation = file.orientation if orientation is None else orientation
@@ -161,6 +174,7 @@ def formed_between_tools(
         parameters=parameters,
         areas=dict(file.areas),
         outputs=file.outputs,
+        files=like.files if like else checksums(file.files() + file.texts()),
         tools=(tools, from_files),
         coarsest=FINE * min((getattr(tool.shape, "sharpest", 0.0) for tool in tools), default=0.0),
     )
@@ -297,7 +311,10 @@ def _between_nodes(model: Model, contacts: Sequence[Contact]) -> list[Contact]:
     blank = model.sheet.blank
     edges, finest = at_edges(blank), blank.size * (1 - 1e-9)
     sharp = [c for c in contacts if getattr(c.tool.shape, "sharpest", 0.0) < finest]
-    why = f"{'a' if sharp else 'no'} tool bends more sharply than the elements"
+    why = "no tool bends more sharply than the elements"
+    if sharp:
+        radii = {tool: smallest_radius(tool, model.tools[1]) for tool in (c.tool for c in sharp)}
+        why = f"a tool bends more sharply than the elements{what_resolves(radii, blank.size)}"
     model.description.append((f"contact at nodes{' and mid-edges' * bool(sharp)}", why))
     return [Contact(model.sheet, c.tool, c.tool_dofs, edges) for c in sharp]
 

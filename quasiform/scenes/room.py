@@ -14,6 +14,12 @@ from ..tools.shapes import Tool
 from ..tools.tool_file import ToolFile, why_tight
 from .scene_file import SceneFile
 
+NEARLY = 0.05  # of the thickness: what a tool may differ from its mirror image
+EXACTLY = 0.001  # of the thickness: less is not reported
+FACETS = 0.02  # of a tool's area: what may be bent more sharply because of facets
+COST = 2.4  # power of 1/size in the time of an iteration, between 2.5 and 10 mm
+ACROSS = {"x": "across the warp", "y": "along the warp"}
+
 
 def check_clearance(
     tools: Sequence[Tool],
@@ -71,27 +77,76 @@ def mirror_planes(
     flat = rng.uniform(*bounds, (20000, 2))
     z = rng.uniform(-travel, fabric.thickness, len(flat))
     planes: list[str] = []
+    within, allowed = 0.0, NEARLY * fabric.thickness
+    broken: list[str] = []
     for axis, name in enumerate("xy"):
         flip = np.ones(2)
         flip[axis] = -1.0
         mirrored = shapely.affinity.scale(outline, *flip, origin=(0, 0))
-        same = outline.symmetric_difference(mirrored).area < 1e-6 * outline.area
-        for tool in tools if same else ():
-            same = same and abs(along[:, axis] @ tool.place) < 1e-9
-            sunk = -travel if tool.motion == "driven" else 0.0
-            sides = [np.column_stack([points @ along.T, z]) for points in (flat, flat * flip)]
-            d = [tool.gap(points, sunk) for points in sides]
-            near = np.minimum(*np.abs(d)) < 2 * fabric.thickness
-            off = np.abs(d[0] - d[1])[near]
-            same = same and not (off > 0.01 * fabric.thickness).any()
-        if same and not (planes and symmetry == "half"):
+        if outline.symmetric_difference(mirrored).area > 1e-6 * outline.area:
+            broken.append(f"{ACROSS[name]} the outline differs")
+            continue
+        sides = [np.column_stack([points @ along.T, z]) for points in (flat, flat * flip)]
+        off = {tool.name: _off_mirror(tool, sides, travel, fabric.thickness) for tool in tools}
+        off = {t.name: max(off[t.name], 2 * abs(along[:, axis] @ t.place)) for t in tools}
+        worst = max(off, key=off.get)
+        if off[worst] > allowed:
+            broken.append(f"{ACROSS[name]} the {worst} differs by {off[worst]:.2g} mm")
+        elif not (planes and symmetry == "half"):
             planes.append(name)
+            within = max(within, off[worst])
+    more = f"; {' and '.join(broken)} ({allowed:.2g} allowed)" if broken else ""
     if not planes:
-        return (), [("the whole blank", "no plane along the fibres mirrors it")]
-    where = {"x": "across the warp", "y": "along the warp"}
+        return (), [("the whole blank", f"no plane along the fibres mirrors it{more}")]
+    nearly = f" within {within:.1g} mm" if within > EXACTLY * fabric.thickness else ""
     why = (
-        f"blank, fibres and tools are mirrored at the plane{'s' * (len(planes) > 1)} "
-        f"{' and '.join(where[plane] for plane in planes)}; wrinkles or bands that break this "
-        "symmetry are not seen (--symmetry none)"
+        f"blank, fibres and tools are mirrored{nearly} at the plane{'s' * (len(planes) > 1)} "
+        f"{' and '.join(ACROSS[plane] for plane in planes)}; wrinkles or bands that break this "
+        f"symmetry are not seen (--symmetry none){more}"
     )
     return tuple(planes), [("a quarter" if len(planes) == 2 else "a half", why)]
+
+
+def _off_mirror(tool: Tool, sides: Sequence[np.ndarray], travel: float, thickness: float) -> float:
+    """By how much a tool's surface differs from its mirror image near the sheet, mm.
+
+    `sides` are points (n, 3) and their images.
+    """
+    sunk = -travel if tool.motion == "driven" else 0.0
+    d = [tool.gap(points, sunk) for points in sides]
+    near = np.minimum(*np.abs(d)) < 2 * thickness
+    return float(np.abs(d[0] - d[1])[near].max(initial=0.0))
+
+
+def smallest_radius(tool: Tool, from_files: Mapping[str, ToolFile]) -> float:
+    """Smallest radius that a sheet bends over on a tool, mm; 0 if it is not known.
+
+    On a surface from a file that of all but a fiftieth of its area: facets are no fillets.
+    """
+    if tool.name not in from_files:
+        return float(getattr(tool.shape, "sharpest", 0.0))
+    read = from_files[tool.name]
+    corners = read.corners
+    middles, sides = corners.mean(1), np.diff(corners, axis=1)
+    area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
+    near = ((middles > read.grid.low) & (middles < read.grid.high)).all(1)
+    if not near.any():
+        return 0.0
+    bend = np.linalg.eigvalsh(read.grid.distance(middles[near])[2])[:, -1]
+    order = np.argsort(bend)
+    share = np.cumsum(area[near][order]) / area[near].sum()
+    sharp = bend[order][np.searchsorted(share, 1 - FACETS)]
+    return float(1 / sharp) if sharp > 1e-6 else np.inf
+
+
+def what_resolves(radii: Mapping[Tool, float], size: float) -> str:
+    """The smallest radius of tools, the size that resolves it, and what that costs."""
+    tool = min(radii, key=radii.get)
+    radius = radii[tool]
+    if not 0 < radius < 2 * size:
+        return ""
+    times = f"{float(f'{(2 * size / radius) ** COST:.2g}'):g}"
+    return (
+        f"; smallest radius {radius:.2g} mm, of the {tool.name}: a size of at most "
+        f"{radius / 2:.2g} resolves it, at about {times} times the time of an iteration"
+    )

@@ -31,18 +31,21 @@ from pydantic import (
 
 from .. import schema
 from ..checks import FORMAT, InputError, check_keys, suggestion
+from ..fabric import Fabric, fabric_of
+from ..recipe import checksums
 from ..schema import LARGEST, OPEN, Table, checked, number, path, vector
 from ..toml_file import read_toml, toml_text, without_format
 from ..tools.part import SHAPES, Form, ToolPart
 from ..tools.shapes import FAR
 from ..tools.surface_file import SurfaceFile
-from .scene_parts import MOTIONS, REGION, Gripper, Region, SceneFile, Support, Where
+from .overrides import merged, overridden
+from .scene_parts import MOTIONS, OUTWARDS, REGION, Gripper, Region, SceneFile, Support, Where
 
 __all__ = ["Form", "Gripper", "Region", "SceneFile", "Support", "SurfaceFile", "ToolPart", "Where"]
 _PACKAGED = Path(__file__).parents[1] / "geometries"
 FOLDER = _PACKAGED if _PACKAGED.is_dir() else Path(__file__).parents[2] / "geometries"
 OF_A_TOOL = ("friction", "mass", "force", "z", "place", "tilt")
-OF_A_FILE = ("scale", "flip", "rotate", "origin", "spacing")
+OF_A_FILE = ("scale", "flip", "rotate", "origin", "spacing", "offset")
 MOST_ROWS = 10_000
 LENGTHS = {  # of the shapes, mm
     "length": "Along x",
@@ -193,6 +196,7 @@ class _FromFile(_Tool):
     rotate: vector("Turn about x, y and z, degrees", 3, TURN) = (0.0, 0.0, 0.0)
     origin: vector("Point of the file that comes to the middle, mm", 3, ORIGIN) = (0.0, 0.0, 0.0)
     spacing: number("Spacing of the grid of distances of a surface file", "mm") = OPEN
+    offset: number("Clearance: moves the surface into the tool", "mm", signed=True) = 0.0
 
 
 def _part(table: _Tool) -> ToolPart:
@@ -214,9 +218,6 @@ def _part(table: _Tool) -> ToolPart:
 
 
 # Edges that are fixed or pulled
-
-
-OUTWARDS = {"+x": (1.0, 0.0), "-x": (-1.0, 0.0), "+y": (0.0, 1.0), "-y": (0.0, -1.0)}
 
 
 class _Place(Table):
@@ -260,13 +261,11 @@ def _support(table: _Support) -> Support:
 def _gripper(table: _Gripper) -> Gripper:
     where = _where(table)
     direction = table.direction or OUTWARDS.get(where.side)
-    if direction is None:
-        raise InputError("direction = None: expected 2 numbers")
-    if not any(direction):
+    if direction is not None and not any(direction):
         raise InputError("direction must not be zero")
     if not (table.tension or table.stiffness):
         raise InputError("needs a tension or a stiffness")
-    length = float(np.linalg.norm(direction))
+    length = float(np.linalg.norm(direction)) if direction else 1.0
     if abs(length - 1) > 1e-12:  # else it is the same when it is read again
         direction = (direction[0] / length, direction[1] / length)
     return Gripper(where, direction, table.tension, table.stiffness)
@@ -304,6 +303,16 @@ _FROM_FILE = Annotated[_FromFile, Tag("surface file")]
 FAR_OFF = FAR / 4  # mm; a straight tool ends at FAR
 
 
+class _Run(Table):
+    increment: number("Increment of the travel; chosen by the program if left out", "mm") = OPEN
+    accuracy: number("Refine until the error of the shear angle (p99) is below", "deg") = OPEN
+    seeds: Annotated[int, Field(ge=1, le=1000, description="Perturbed starts")] = OPEN
+    linear: _word("Linear solver", "auto", "pardiso", "superlu") = "auto"
+    one_mesh: _flag("Whether the whole path is followed on this mesh") = False
+    estimate: _flag("Whether the error of the mesh is estimated") = True
+    draft: _flag("Whether it is solved with twice the size and the increments") = False
+
+
 class Scene(Table):
     """A forming scene: lengths in mm, masses in kg, forces in N, angles in degrees.
 
@@ -313,8 +322,9 @@ class Scene(Table):
     name: StrictStr = OPEN
     travel: number("Travel of the driven tools from first touch", "mm")
     law: checked(_law, type="string", description="Preset, or path of a material file") = "locking"
+    fabric: Annotated[dict[str, Any], Field(description="Keys that replace those of `law`")] = OPEN
     gravity: _flag("Whether the sheet's own weight acts") = False
-    symmetry: _word("Whether mirror planes are used", "auto", "none") = "auto"
+    symmetry: _word("Whether mirror planes are used", "auto", "half", "none") = "auto"
     blank: _union(_Blank, REGION, LARGEST, _blank, _OWN_MESH)
     tools: dict[str, _union(_Tool, SHAPES, FAR_OFF, _part, _FROM_FILE)]
     supports: list[Annotated[_Support, AfterValidator(_support)]] = []  # noqa: RUF012
@@ -322,6 +332,8 @@ class Scene(Table):
     areas: dict[str, _Area] = {}  # noqa: RUF012
     increments: _Increments = _Increments()
     outputs: _Outputs = _Outputs()
+    run: _Run = OPEN
+    files: Annotated[dict[str, str], Field(description="SHA-256 of files, by path")] = OPEN
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -334,31 +346,72 @@ class Scene(Table):
         return self
 
 
+NOT_POSSIBLE = {  # keys that people try: what is possible instead
+    "plies": "one layer only; a stack is not modelled",
+    "layers": "one layer only; a stack is not modelled",
+    "slits": "cuts that open are not modelled; holes and notches are",
+    "pressure": "a pressure on the sheet is not modelled; a holder's force is",
+    "diaphragm": "diaphragms are not modelled",
+    "temperature": "the fabric is dry and cold: no matrix, no temperature",
+}
+
+
+def _refuse_impossible(table: Any) -> None:
+    """Say of a key of what is not modelled that it is not possible."""
+    for key, value in table.items() if isinstance(table, Mapping) else ():
+        if key in NOT_POSSIBLE:
+            raise InputError(f"'{key}' is not possible: {NOT_POSSIBLE[key]}")
+        _refuse_impossible(value)
+
+
 def _scene(table: dict[str, Any], folder: Path, stem: str) -> SceneFile:
     """Return the scene that the table of a file describes; `stem` is its name where it has none."""
+    _refuse_impossible({k: v for k, v in table.items() if k not in ("fabric", "areas")})
     check_keys(table, Scene.model_fields)
     for key in ("blank", "tools"):
         if not isinstance(table.get(key), dict):
             raise InputError(f"table [{key}] missing")
     tools = {name: _with_role(name, tool) for name, tool in table["tools"].items()}
     scene = schema.validated(Scene, {**table, "tools": tools}, folder)
-    return SceneFile(
+    law = str(folder / scene.law) if scene.law.endswith(".toml") else scene.law
+    if scene.fabric is not None:
+        law = _fabric(scene.fabric, law if "law" in table else "")
+    file = SceneFile(
         name=stem if scene.name is None else scene.name,
         tools=tuple(
             replace(part, name="blank holder" if name == "holder" else name)
             for name, part in scene.tools.items()
         ),
-        law=str(folder / scene.law) if scene.law.endswith(".toml") else scene.law,
+        law=law,
         supports=tuple(scene.supports),
         grippers=tuple(scene.grippers),
         areas={name: (area.centre, area.radius) for name, area in scene.areas.items()},
         increment=scene.increments.largest,
         rows=scene.increments.rows,
         outputs=scene.outputs.model_dump(),
+        run={} if scene.run is None else _without_none(scene.run.model_dump()),
         standings=schema.standings(table),
         **scene.model_dump(include={"travel", "gravity", "symmetry"}),
         **scene.blank,
     )
+    for name, digest in checksums(file.files()).items():
+        if (scene.files or {}).get(name, digest) != digest:
+            words = "has changed since this scene was written; remove [files] to use it as it is"
+            raise InputError(f"{name} {words}")
+    return file
+
+
+def _fabric(table: dict[str, Any], law: str) -> Fabric:
+    """Return the fabric of a scene: the keys of its table over those of a law, if there is one."""
+    law = law or ("" if "shear" in table else "locking")
+    try:
+        return Fabric.read(merged(fabric_of(law).written(), table) if law else table)
+    except InputError as error:
+        raise InputError(f"[fabric] {error}") from error
+
+
+def _without_none(table: dict[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in table.items() if value is not None}
 
 
 def _with_role(name: str, tool: Any) -> dict[str, Any]:
@@ -385,8 +438,8 @@ def built_in() -> list[str]:
     return sorted(path.stem for path in FOLDER.glob("*.toml"))
 
 
-def load(name: str) -> SceneFile:
-    """Read a built-in scene by name, or a TOML file.
+def load(name: str, overrides: Mapping[str, Any] | None = None) -> SceneFile:
+    """Read a built-in scene by name, or a TOML file; `overrides` have the dotted names of keys.
 
     InputError in one line that names file, table and key.
     """
@@ -396,8 +449,19 @@ def load(name: str) -> SceneFile:
         place = Path(name)
     else:
         raise InputError(f"unknown scene '{name}': {suggestion(name, built_in())}, or a .toml file")
-    file = read_toml(place, lambda table: _scene(table, place.parent, place.stem))
+
+    def build(table: dict[str, Any]) -> SceneFile:
+        return _scene(overridden(table, overrides or {}), place.parent, place.stem)
+
+    file = read_toml(place, build)
     return file if name in built_in() else replace(file, source=str(place.resolve()))
+
+
+def changed(file: SceneFile, overrides: Mapping[str, Any]) -> SceneFile:
+    """Return a scene with other values of its keys, by their dotted names."""
+    table = without_format(tomllib.loads(scene_toml(file)))
+    again = _scene(overridden(table, overrides), Path(), file.name)
+    return replace(again, source=file.source)
 
 
 def read_text(written: Mapping[str, str]) -> SceneFile:
@@ -428,7 +492,11 @@ def scene_toml(file: SceneFile) -> str:
         "increments": {"largest": file.increment, "rows": file.rows},
         "outputs": dict(file.outputs),
     }
-    if file.law.endswith(".toml"):
+    if file.run:
+        table["run"] = dict(file.run)
+    if isinstance(file.law, Fabric):
+        table["fabric"] = table.pop("law").written()
+    elif file.law.endswith(".toml"):
         table["law"] = Path(file.law)
     return toml_text(_plain(table, "", file.standings))
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import shapely
 
+from ..fabric import Fabric
 from ..net import outline as outlines
 from ..tools.part import ToolPart
 
@@ -21,6 +22,7 @@ REGION: dict[str, tuple[Callable[..., shapely.Polygon], tuple[str, ...]]] = {
     "polygon": (outlines.polygon, ("points",)),
     "file": (outlines.read_outline, ("file", "scale", "layer")),
 }
+OUTWARDS = {"+x": (1.0, 0.0), "-x": (-1.0, 0.0), "+y": (0.0, 1.0), "-y": (0.0, -1.0)}
 MOTIONS = {"punch": "driven", "die": "fixed", "holder": "free"}
 
 
@@ -87,10 +89,13 @@ class Support:
 
 @dataclass(frozen=True)
 class Gripper:
-    """A pull of `tension` N along `direction`, less `stiffness` N/mm times the motion."""
+    """A pull of `tension` N along `direction`, less `stiffness` N/mm times the motion.
+
+    Without a direction it pulls away from the nearest side of the blank.
+    """
 
     where: Where
-    direction: Point
+    direction: Point | None = None
     tension: float = 0.0
     stiffness: float = 0.0
 
@@ -107,7 +112,7 @@ class SceneFile:
     size: float | None = None  # spacing of the fibre lines, mm
     mesh: str | Path = "fibre"  # cut from the fibre lines, or "free", or the user's own
     mesh_scale: float = 1.0  # mm
-    law: str = "locking"  # a preset, or the path of a material file
+    law: str | Fabric = "locking"  # a preset, the path of a material file, or the fabric itself
     gravity: bool = False  # whether the sheet's own weight acts
     supports: tuple[Support, ...] = ()
     grippers: tuple[Gripper, ...] = ()
@@ -118,6 +123,7 @@ class SceneFile:
     outputs: Mapping[str, bool] = field(
         default_factory=lambda: {"pictures": True, "increments": True}, hash=False
     )
+    run: Mapping[str, Any] = field(default_factory=dict, hash=False)  # how it is solved
     standings: Mapping[str, str] = field(default_factory=dict, hash=False)  # by dotted name
     source: str = field(default="", compare=False)  # absolute path; empty for a built-in one
 
@@ -136,3 +142,8 @@ class SceneFile:
         named += self.blank.parameters if self.blank else ()
         named = [getattr(part, "path", part) for part in named]
         return [part for part in named if isinstance(part, Path)]
+
+    def texts(self) -> list[Path]:
+        """Files that it was read from: its own, and that of its fabric."""
+        law = self.law if isinstance(self.law, str) and self.law.endswith(".toml") else ""
+        return [Path(name) for name in (self.source, law) if name]

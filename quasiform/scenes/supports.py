@@ -10,6 +10,9 @@ from ..energy.gripper import Grip
 from ..energy.term import Term
 from ..model import Model
 from .scene_file import SceneFile
+from .scene_parts import OUTWARDS
+
+NEAR = 0.25  # of the blank's width: how near a gripper is to the side that it pulls
 
 
 def fix_supports(model: Model, file: SceneFile, outline: shapely.Polygon) -> np.ndarray | None:
@@ -42,11 +45,25 @@ def grips(model: Model, file: SceneFile, outline: shapely.Polygon) -> list[Term]
         if len(rim):
             length = np.linalg.norm(np.diff(blank.nodes[rim], axis=1)[:, 0], axis=1)
             part = np.bincount(rim.ravel(), np.repeat(length, 2), minlength=len(blank.nodes))
-        shares, direction = part[at] / part[at].sum(), np.array([*gripper.direction, 0.0])
+        pull = gripper.direction or _outwards(blank.nodes[at], outline.bounds)
+        if pull is None:
+            words = "direction missing: it is not at a side of the blank"
+            raise InputError(f"[grippers {i}] {words}")
+        shares, direction = part[at] / part[at].sum(), np.array([*pull, 0.0])
         pulls.append(
             Grip(sheet, at, shares, positions[at], direction, gripper.tension, gripper.stiffness)
         )
     return pulls
+
+
+def _outwards(
+    points: np.ndarray, bounds: tuple[float, float, float, float]
+) -> tuple[float, float] | None:
+    """Direction away from the nearest side of the blank's bounding box; None if none is near."""
+    (x0, y0), (x1, y1), (x, y) = bounds[:2], bounds[2:], points.mean(0)
+    far = {"+x": x1 - x, "-x": x - x0, "+y": y1 - y, "-y": y - y0}
+    side = min(far, key=far.get)
+    return OUTWARDS[side] if far[side] < NEAR * min(x1 - x0, y1 - y0) else None
 
 
 def keep_middle(model: Model, file: SceneFile) -> None:

@@ -141,7 +141,7 @@ class Journal:
         head = {"format": FORMAT, "recipe": _recipe(run), "options": self.options}
         head |= {"parameters": run.model.parameters, "settings": asdict(run.settings)}
         head |= {"step": step, "elapsed": elapsed, "travel": run.travel}
-        head |= {"account": asdict(run.account)}
+        head |= {"account": asdict(run.account), "files": run.model.files}
         head["counted"] = [{name: getattr(of, name) for name in kept} for of, kept in _counted(run)]
         rows = [[s.travel, s.force, s.linear_solves, *s.measures.values()] for s in states]
         arrays = {"x": run.x, "g": run.equations.gradient(run.x), "rows": np.array(rows)}
@@ -164,6 +164,11 @@ class Journal:
             "changed since"
         )
         given = json.loads(_json(model.parameters))
+        # the record has the content of the scene and the fabric, not that of tools and meshes
+        files = self.recorded.get("files", {})
+        before = {path: files[path] for path in files if not path.endswith(".toml")}
+        if other_files := [path for path in before if model.files.get(path) != before[path]]:
+            raise InputError(f"{self.folder}: {other_files[0]} has changed since that run")
         settings = json.loads(_json(asdict(run.settings)))
         with self._reading():
             arrays, before = recorded["arrays"], recorded["settings"]

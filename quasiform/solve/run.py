@@ -25,6 +25,7 @@ from .linear import NotConvergedError, SlidesOffError
 from .newton import downhill, minimise, predict, settle, weakest_mode
 from .proximal import creep
 from .relaxation import relax
+from .weight_steps import load_factors, with_weight
 
 MOST_RELAXED = 60_000  # iterations of a run by dynamic relaxation alone
 SADDLES = 8  # tries to leave saddles, each with twice the stride of the last
@@ -112,6 +113,12 @@ class Run:
                 x, memory = self._solve(stuck_first(self, 0.0))
             except NotConvergedError:
                 self.back()
+                if len(load_factors(self.model)):
+                    with suppress(NotConvergedError):
+                        x = with_weight(self.equations, self.settle, self.back)
+                        self.account.count("weight in steps")
+                        return x
+                    self.back()
                 self.account.count("dynamic relaxation")
                 x, memory = self._solve(self._relaxed(x0, 0.0, 1e-2, 5000))
         self._accept(x, memory)

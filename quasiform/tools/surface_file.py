@@ -59,6 +59,7 @@ class SurfaceFile:
     rotate: Vector = (0.0, 0.0, 0.0)  # R, degrees about the fixed axes x, y, z, in this order
     origin: Vector = (0.0, 0.0, 0.0)  # point of the file, mm, that becomes the tool's origin
     spacing: float | None = None  # of the grid of its distance, mm
+    offset: float = 0.0  # by how much the surface is moved into the tool, along its normals, mm
 
     def placed(self) -> tuple[FloatArray, np.ndarray, list[str]]:
         """Vertices and triangles as `read_surface`, in the tool's frame, and what was repaired."""

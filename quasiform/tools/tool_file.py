@@ -7,7 +7,7 @@ where it lies and, where that cannot be right, which line of the scene corrects 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -36,7 +36,7 @@ class ToolFile:
     thickness: float  # of the sheet, mm
     grid: surface.SurfaceGrid  # its distance, where the sheet can be
     vertices: FloatArray  # (n, 3), placed, repaired, in the tool's own z, mm
-    n_triangles: int
+    triangles: np.ndarray  # (m, 3)
     repairs: list[str]
     warnings: list[str]  # what may be wrong, with the line that corrects it
 
@@ -61,10 +61,16 @@ class ToolFile:
         return box
 
     @property
+    def corners(self) -> FloatArray:
+        """(m, 3, 3) corners of its triangles, in the tool's own axes, mm."""
+        return self.vertices[self.triangles]
+
+    @property
     def rest(self) -> float:
         """The z at which it touches the flat sheet, mm."""
         low, high = self.box[:, 2]
-        return float(self.thickness - low if self.down else -high)
+        moved = self.thickness - low if self.down else -high
+        return float(moved + self.file.offset * (-1 if self.down else 1))
 
     def description(
         self, tools: Sequence[Tool], outline: shapely.Polygon, travel: float
@@ -80,7 +86,9 @@ class ToolFile:
             side = "over" if (gap > 0) == self.down else "under"
             where = f"{abs(gap):.3g} mm {side} the {'upper' if self.down else 'lower'} face of"
         size = "{:.4g} x {:.4g} x {:.4g} mm".format(*np.ptp(box, axis=0))
-        size += f", {self.n_triangles} triangles, its middle at {position(box.mean(0)[:2])}"
+        size += f", {len(self.triangles)} triangles, its middle at {position(box.mean(0)[:2])}"
+        if self.file.offset:
+            size += f", its surface moved by {self.file.offset:g} mm into the tool"
         tip = f"its {'lowest' if self.down else 'highest'} point at"
         tip = f"{tip} {position(end[:2] + part.place)}"
         lines = [(f"{part.name} from {self.name}", f"{size}, {tip}, {where} the sheet")]
@@ -159,9 +167,10 @@ def read(part: ToolPart, outline: shapely.Polygon, travel: float, thickness: flo
         grid = surface.surface_grid(
             vertices, triangles, low, high, file.spacing, across, file.scale, file.flip
         )
+        grid = replace(grid, coefficients=grid.coefficients + file.offset)
     warnings = _orientation_warnings(vertices, triangles, part.role, file)
     notes = [*repairs, *grid.notes]
-    return ToolFile(part, thickness, grid, vertices, len(triangles), notes, warnings)
+    return ToolFile(part, thickness, grid, vertices, triangles, notes, warnings)
 
 
 def middle(tool: Tool, files: Mapping[str, ToolFile]) -> FloatArray:
@@ -210,7 +219,8 @@ def _orientation_warnings(
             f"it has a flat base towards the sheet and narrows upwards: upside down? {upside_down}"
         )
         return [words] if stands else []
-    if role == "punch" and tall and height[rims[0]].mean() < 0.1 * height.max():
+    matched = file.offset > 0  # a punch from the surface of its die may be open towards the sheet
+    if role == "punch" and tall and not matched and height[rims[0]].mean() < 0.1 * height.max():
         return [f"the surface is open towards the sheet: upside down? {upside_down}"]
     up = normals_of(vertices[triangles])[:, 2].sum()
     flip = f"inside out? flip = {str(not file.flip).lower()}; or upside down? {upside_down}"
