@@ -9,6 +9,7 @@ from scipy.optimize import brentq
 from quasiform import Fabric, identify, solve
 from quasiform.checks import InputError
 from quasiform.fabric import MomentCurve
+from quasiform.identification.campaign import load
 from quasiform.identification.cantilever import from_overhang, from_profile, from_repeats, from_tip
 from quasiform.scenes.fabric_tests import cantilever
 from quasiform.theory import heavy_elastica, heavy_elastica_shape, heavy_strip
@@ -305,3 +306,31 @@ def test_a_linear_moment_is_the_heavy_elastica():
     x, drop, slope = heavy_strip(length, W, np.array([0.0, 0.01]), np.array([0.0, 0.01 * B]))
     expected = np.array(heavy_elastica(W * length**3 / B)) * [length, length, 1.0]
     assert_allclose([x, drop, slope], expected, rtol=1e-6)
+
+
+def test_one_file_of_a_profile_or_of_moments(tmp_path):
+    """The command line reads a single CSV file; its kind says what is in it."""
+    file = tmp_path / "profile.csv"
+    np.savetxt(file, np.transpose(profile(165.0)), header="x_mm,drop_mm", delimiter=",")
+    how = {"kind": "cantilever", "family": "weft", "areal_weight": AREAL_WEIGHT}
+    found = identify(load(file, **how, length=165.0)).fabric
+    assert found.bending_weft == pytest.approx(B, rel=1e-5)
+    moments = tmp_path / "moments.csv"
+    moments.write_text("curvature [1/m],moment [N]\n2,0.006\n5,0.01\n10,0.015\n", encoding="utf-8")
+    assert load(moments, kind="bending", family="warp").bending["warp"].moment[-3:] == (0.006, 0.01, 0.015)
+
+
+@pytest.mark.parametrize(
+    ("how", "words"),
+    [
+        ({}, "family missing"),
+        ({"family": "warp"}, "length missing"),
+        ({"family": "warp", "length": 165.0, "width": 20.0}, "width is not a size"),
+        ({"family": "warp", "length": 165.0, "cycle": "last"}, "cycle does not apply"),
+    ],
+)
+def test_a_wrong_file_of_a_profile_is_refused(tmp_path, how, words):
+    file = tmp_path / "profile.csv"
+    np.savetxt(file, np.transpose(profile(165.0)), header="x_mm,drop_mm", delimiter=",")
+    with pytest.raises(InputError, match=words):
+        load(file, kind="cantilever", **how)

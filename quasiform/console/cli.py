@@ -361,8 +361,11 @@ class Tests:
     algorithm: Literal["least-squares", "nelder-mead"] | None = None
     """Of the fit (least-squares)."""
     name: Annotated[str | None, about("Of the fabric; by default the file's.")] = None
-    kind: Literal["off-axis", "picture-frame"] | None = None
+    kind: Literal["off-axis", "picture-frame", "cantilever", "bending"] | None = None
     """Kind of the test in a CSV file (off-axis)."""
+    family: Literal["warp", "weft"] | None = None
+    """Fibres along a strip whose cantilever profile or bending moments are in the file."""
+    areal_weight: Annotated[float | None, word(_positive, "G"), about("In g/m² (600).")] = None
     angle: Annotated[Degrees | None, about("Angle between load and warp (45).")] = None
     length: Annotated[Length | None, about("Free length of the strip (320).")] = None
     width: Annotated[Length | None, about("Width of the strip (160).")] = None

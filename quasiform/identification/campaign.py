@@ -61,7 +61,9 @@ METHODS = {
 }
 KINDS = {"off-axis": OffAxis, "picture-frame": PictureFrame}
 SIZES = {kind: tuple(f.name for f in fields(specimen)) for kind, specimen in KINDS.items()}
-OF_A_TEST = ("kind", "columns", "units", "from", "to", "zero", "preload", "cycle")
+OF_A_TEST = ("kind", "family", "columns", "units", "from", "to", "zero", "preload", "cycle")
+OF_BENDING = {"cantilever": ("profile", ("length",)), "bending": ("moments", ())}
+OF_FABRIC = ("thickness", "areal_weight")
 SETTINGS = ("method", "keep", "algorithm", "size")
 VALUES = tuple(f.name for f in fields(Fabric) if f.name not in ("name", "provenance"))
 ASSUMED = "assumed: that of "  # begins the origin of a value that no test and no user gave
@@ -168,25 +170,31 @@ def load(file: str | Path, **given: Any) -> Campaign:
     """Read a campaign from a TOML file, or from the CSV file of one test.
 
     `given` replaces method, keep, algorithm, size and name of a file. Of a CSV file it also has
-    kind, length, width, angle, side, fabric_side, thickness, columns, units, from, to, zero,
-    preload, cycle.
+    kind, length, width, angle, side, fabric_side, thickness, areal_weight, columns, units, from,
+    to, zero, preload, cycle; of a cantilever's profile or of a table of moments also family.
     """
     file = Path(file)
     sizes = [size for names in SIZES.values() for size in names]
     if file.suffix.lower() == ".toml":
         for key in given:
-            if key in (*sizes, *OF_A_TEST, "thickness"):
-                where = "[fabric]" if key == "thickness" else "[[tests]]"
+            if key in (*sizes, *OF_A_TEST, *OF_FABRIC):
+                where = "[fabric]" if key in OF_FABRIC else "[[tests]]"
                 raise InputError(f"{file}: {key} belongs into the file, under {where}")
         return read_toml(file, lambda table: _campaign(table | given, file))
     kind = given.get("kind", "off-axis")
+    files, known = OF_BENDING.get(kind, ("files", SIZES.get(kind, sizes)))
     for key in given:
-        if key in sizes and key not in SIZES.get(kind, sizes):
+        if kind in OF_BENDING and key in OF_A_TEST and key not in ("kind", "family"):
+            raise InputError(f"{file}: {key} does not apply to a {kind} test")
+        if key in sizes and key not in known:
             raise InputError(f"{file}: {key} is not a size of the {kind} test")
+    if kind in OF_BENDING and "family" not in given:
+        raise InputError(f"{file}: family missing: --family warp or weft, along which it was cut")
     table = {key: value for key, value in given.items() if key in SETTINGS}
-    fabric = {key: value for key, value in given.items() if key == "thickness"}
-    test = {k: v for k, v in given.items() if k not in (*SETTINGS, "thickness", "name")}
-    test = {"kind": kind, **test, "files": [str(file.absolute())]}
+    fabric = {key: value for key, value in given.items() if key in OF_FABRIC}
+    test = {k: v for k, v in given.items() if k not in (*SETTINGS, *OF_FABRIC, "name")}
+    own = str(file.absolute())
+    test = {"kind": kind, **test, files: own if kind in OF_BENDING else [own]}
     table |= {"name": given.get("name", file.stem), "fabric": fabric, "tests": [test]}
     return replace(_campaign(table, file), sources=(file,))
 
