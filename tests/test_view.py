@@ -114,7 +114,8 @@ def test_one_page_summary(formed, tmp_path):
     assert f"{np.abs(result.shear_angle).max():.4g}" in text
     assert "tools.holder.mass" in text  # assumed
     assert text.count("data:image/png;base64,") == 3
-    assert "http" not in text
+    assert "http:" not in text
+    assert "https:" not in text
 
 
 @pytest.mark.skipif(program() is None, reason="no Chromium on this machine")
