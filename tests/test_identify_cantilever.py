@@ -317,7 +317,8 @@ def test_one_file_of_a_profile_or_of_moments(tmp_path):
     assert found.bending_weft == pytest.approx(B, rel=1e-5)
     moments = tmp_path / "moments.csv"
     moments.write_text("curvature [1/m],moment [N]\n2,0.006\n5,0.01\n10,0.015\n", encoding="utf-8")
-    assert load(moments, kind="bending", family="warp").bending["warp"].moment[-3:] == (0.006, 0.01, 0.015)
+    bending = load(moments, kind="bending", family="warp").bending
+    assert bending["warp"].moment[-3:] == (0.006, 0.01, 0.015)
 
 
 @pytest.mark.parametrize(
