@@ -272,7 +272,7 @@ def test_each_level_is_at_most_twice_as_fine_as_the_one_before(size, sizes):
 
 
 def test_coarse_meshes_are_named_in_the_certificate():
-    coarse = qf.solve(qf.forming("hemisphere", size=10, travel=20), estimate=False).certified
+    coarse = qf.solve(qf.forming("hemisphere", size=15.5, travel=20), estimate=False).certified
     assert coarse.converged
     assert not coarse
     assert "too coarse for the radius of 10.0 mm" in str(coarse)
