@@ -259,7 +259,8 @@ def test_rescues_of_all_levels_are_added(monkeypatch):
 def test_the_default_mesh_resolves_the_smallest_fillet():
     for name in ("hemisphere", "tetrahedron", "box"):
         model = qf.forming(name)
-        assert model.size == model.coarsest == 4.0  # 0.4 of 10 mm
+        assert model.coarsest == 4.0  # 0.4 of 10 mm
+        assert model.size == 155 / 39  # which fits half of the blank
         assert not model.changed
     assert qf.forming(wide_fillets()).size == 5.0  # nothing finer is needed
     assert qf.forming("hemisphere", size=10.0).size == 10.0
