@@ -1,0 +1,164 @@
+"""Where the runs of a study are solved: worker processes of this machine, or a Dask cluster.
+
+Each place is a generator of (job, row, files) in the order in which runs finish.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager, suppress
+from functools import partial
+from typing import Any
+
+from ..checks import InputError, optional
+from .plan import Job, Plan
+from .run import difference, environment, folder, outcome, unpack
+
+Finished = tuple[Job, dict[str, Any], dict[str, bytes]]
+THREADS = [f"{name}_NUM_THREADS" for name in ("OMP", "OPENBLAS", "MKL", "VECLIB", "NUMBA")]
+DIED = {"error": "worker died"}
+TRIES = 2  # of a run whose worker dies
+AHEAD = 2  # runs for each thread of a cluster that its scheduler has at a time
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Let processes that start here have one thread for linear algebra each."""
+    before = {name: os.environ.get(name) for name in THREADS}
+    os.environ.update(dict.fromkeys(THREADS, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def begin(files: Mapping[str, bytes]) -> None:
+    """Prepare a worker process: its files, no Ctrl-C of its own, and an end with its parent."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    unpack(files)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    multiprocessing.parent_process().join()
+    folder().cleanup()
+    os._exit(1)
+
+
+class _Worker:
+    """One process; a pool of one each, so that a death concerns one run alone."""
+
+    def __init__(self, files: Mapping[str, bytes]) -> None:
+        spawn = multiprocessing.get_context("spawn")
+        self.pool = ProcessPoolExecutor(1, spawn, initializer=begin, initargs=(files,))
+        self.pid = self.pool.submit(os.getpid)
+
+    def kill(self) -> None:
+        """End it at once, whatever it does."""
+        with suppress(OSError, BrokenProcessPool, TimeoutError):
+            if not self.pid.cancel():
+                os.kill(self.pid.result(timeout=30), signal.SIGTERM)
+        self.pool.shutdown(wait=False, cancel_futures=True)
+
+
+def on_pool(jobs: Sequence[Job], plan: Plan, workers: int) -> Iterator[Finished]:
+    """Solve runs in worker processes of this machine."""
+    if getattr(multiprocessing.current_process(), "_inheriting", False):
+        raise InputError("call study(...) in a script under: if __name__ == '__main__':")
+    queue = deque((job, 1) for job in jobs)
+    busy: dict[Future, tuple[_Worker, Job, int]] = {}
+    with one_thread():
+        idle = [_Worker(plan.files) for _ in range(min(workers, len(jobs)))]
+        try:
+            while queue or busy:
+                while queue and idle:
+                    worker, (job, tries) = idle.pop(), queue.popleft()
+                    how = job.description, {}, plan.study.keep, plan.study.fields
+                    busy[worker.pool.submit(outcome, *how)] = worker, job, tries
+                for future in wait(busy, return_when=FIRST_COMPLETED).done:
+                    worker, job, tries = busy.pop(future)
+                    try:
+                        row, files = future.result()
+                        idle.append(worker)
+                    except BrokenProcessPool as error:
+                        if worker.pid.done() and worker.pid.exception():
+                            raise InputError(f"worker processes do not start: {error}") from error
+                        worker.pool.shutdown(wait=False)
+                        idle.append(_Worker(plan.files))
+                        if tries < TRIES:
+                            queue.appendleft((job, tries + 1))
+                            continue
+                        row, files = DIED, {}
+                    yield job, row, files
+        finally:
+            for worker in [*idle, *(worker for worker, *_ in busy.values())]:
+                worker.kill()
+
+
+def on_dask(jobs: Sequence[Job], plan: Plan, scheduler: Any) -> Iterator[Finished]:
+    """Solve runs on a Dask cluster, by the address of its scheduler or a client of it.
+
+    Dask repeats the runs of a worker that dies, and says when one has killed several.
+    """
+    distributed = optional("distributed", "study", "a scheduler needs Dask")
+    own = isinstance(scheduler, str)
+    try:
+        client = distributed.Client(scheduler, timeout=10) if own else scheduler
+    except (OSError, ValueError) as error:
+        raise InputError(f"no Dask scheduler at {scheduler}: {error}") from error
+    try:
+        _check_workers(client)
+        files = client.submit(dict, plan.files, pure=False)  # made again if its worker dies
+        solve = partial(client.submit, outcome, pure=False, retries=1)
+        settings = {"files": files, "keep": plan.study.keep, "fields": plan.study.fields}
+        queue, running = deque(jobs), {}
+        finished = distributed.as_completed()
+
+        def fill() -> None:
+            most = AHEAD * max(sum(client.nthreads().values()), 4)
+            while queue and len(running) < most:
+                job = queue.popleft()
+                future = solve(job.description, **settings)
+                running[future.key] = job
+                finished.add(future)
+
+        fill()
+        for future in finished:
+            try:
+                row, left = future.result()
+            except distributed.scheduler.KilledWorker:
+                row, left = DIED, {}
+            yield running.pop(future.key), row, left
+            fill()
+    finally:
+        if own:
+            client.close()
+
+
+def _check_workers(client: Any) -> None:
+    """Refuse a worker with another version, by its name."""
+
+    def version() -> str:  # sent as code: a worker may know nothing of this module
+        from importlib.metadata import version
+
+        return version("quasiform")
+
+    here = environment()
+    for address, found in client.run(version, on_error="return").items():
+        there = {**here, "quasiform": "missing" if isinstance(found, Exception) else found}
+        if there != here:
+            raise InputError(f"worker {address} has {difference(here, there)}")
+    for address, there in client.run(environment).items():
+        if other := difference(here, there):
+            raise InputError(f"worker {address} has {other}")

@@ -1,0 +1,140 @@
+"""One run of a study: a function of a description in numbers and text, on any machine.
+
+Files that the description names travel beside it by their content: `@files/NAME` stands for such
+a file, NAME is its SHA-256 with its suffix. They are unpacked into a folder of the process.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Mapping
+from functools import cache
+from importlib import import_module
+from io import BytesIO
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from ..checks import InputError
+from ..model import Model
+from ..recipe import Recipe
+from ..result.run import Result
+from ..result.summary import package_version
+from ..solve.asked import asked, solved
+
+PLACE = "@files/"
+FIELDS = "fields.npz"
+TEXTS = (".json", ".toml")
+LONG = ("model", "parameters", "files", "assumed", "solver")  # of a summary: in the study already
+
+
+def environment() -> dict[str, Any]:
+    """Return what the digits of a result depend on: the same wherever a study runs."""
+    found = {"quasiform": package_version(), "linear": "pardiso", "compiled": True}
+    try:
+        _ = import_module("pymklpardiso")._PardisoSolver
+    except (ImportError, AttributeError, OSError):
+        found["linear"] = "superlu"
+    try:
+        import_module("numba")
+    except ImportError:
+        found["compiled"] = False
+    return found
+
+
+def difference(here: Mapping[str, Any], there: Mapping[str, Any]) -> str:
+    """Say in which part an environment differs; empty if in none."""
+    names = {"quasiform": "quasiform", "linear": "linear solver", "compiled": "numba"}
+    found = [k for k in here if here[k] != there.get(k)]
+    return ", ".join(f"{names[k]} {there.get(k)} (here {here[k]})" for k in found)
+
+
+@cache
+def folder() -> TemporaryDirectory:
+    """Folder of this process for the files of its runs."""
+    return TemporaryDirectory(prefix="quasiform-")
+
+
+def unpack(files: Mapping[str, bytes]) -> None:
+    """Write files that are not there yet."""
+    for name, content in files.items():
+        path = Path(folder().name, name)
+        if not path.exists():
+            path.write_bytes(content)
+
+
+def _place() -> str:
+    return f"{Path(folder().name).as_posix()}/"
+
+
+def model_of(description: Mapping[str, Any]) -> tuple[Model, dict[str, Any]]:
+    """Build the model of a run; return it with its options."""
+    description = json.loads(json.dumps(description).replace(PLACE, _place()))
+    if "recipe" in description:
+        for reference in description["recipe"]["changes"]:
+            import_module(reference.partition(":")[0])
+        model, run = Recipe.read(description["recipe"]).build(), {}
+    elif "strip" in description:
+        from ..fabric import Fabric
+        from ..scenes.fabric_tests import off_axis_tension
+
+        fabric = Fabric.read(description["fabric"])
+        model, run = off_axis_tension(law=fabric, **description["strip"]), description["run"]
+    else:
+        from ..scenes.forming import forming
+        from ..scenes.scene_file import read_text
+
+        file = read_text({"toml": description["scene"], "source": ""})
+        model, run = forming(file, size=description["size"]), file.run
+    if run.get("linear", "auto") == "auto":
+        run = {**run, "linear": description["environment"]["linear"]}
+    return asked(model, run)
+
+
+def outcome(
+    description: Mapping[str, Any], files: Mapping[str, bytes], keep: bool, fields: bool
+) -> tuple[dict[str, Any], dict[str, bytes]]:
+    """Solve one run; return its row and the files that it leaves.
+
+    Whatever goes wrong in a run is in its row. InputError if this process has another version.
+    """
+    if other := difference(description["environment"], environment()):
+        raise InputError(f"a worker has another environment: {other}")
+    clock = time.thread_time()
+    row: dict[str, Any] = {}
+    left: dict[str, bytes] = {}
+    try:
+        unpack(files)
+        result = solved(*model_of(description))
+        row["summary"] = {k: v for k, v in result.summary().items() if k not in LONG}
+        left = _files(result, keep, fields)
+    except InputError as error:
+        row = {"error": str(error)}
+    except MemoryError:
+        row = {"error": "not enough memory"}
+    except Exception as error:  # a run that crashes is a row of the study
+        row = {"error": " ".join(f"{type(error).__name__}: {error}".split())}
+    row = json.loads(json.dumps(row).replace(_place(), PLACE))
+    return row | {"cpu_s": round(time.thread_time() - clock, 3)}, left
+
+
+def _files(result: Result, keep: bool, fields: bool) -> dict[str, bytes]:
+    """Contents of the files of a result, by name."""
+    left = {}
+    if keep:
+        with TemporaryDirectory(dir=folder().name) as out:
+            result.save(out, force=True)
+            left = {path.name: path.read_bytes() for path in sorted(Path(out).iterdir())}
+            for name in filter(lambda name: name.endswith(TEXTS), left):
+                left[name] = left[name].replace(_place().encode(), PLACE.encode())
+    if fields:
+        sheet, packed = result.sheet, BytesIO()
+        arrays = {f"point/{name}": value for name, value in sheet.point_fields.items()}
+        arrays |= {f"cell/{name}": value for name, value in sheet.cell_fields.items()}
+        arrays |= {"points": sheet.points, "flat": sheet.flat, "triangles": sheet.triangles}
+        np.savez_compressed(packed, **{name: np.asarray(value) for name, value in arrays.items()})
+        left[FIELDS] = packed.getvalue()
+    return left
