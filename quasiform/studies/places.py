@@ -23,6 +23,7 @@ from .run import difference, environment, folder, outcome, unpack
 
 Finished = tuple[Job, dict[str, Any], dict[str, bytes]]
 THREADS = [f"{name}_NUM_THREADS" for name in ("OMP", "OPENBLAS", "MKL", "VECLIB", "NUMBA")]
+MAIN = "if __name__ == '__main__':"
 DIED = {"error": "worker died"}
 TRIES = 2  # of a run whose worker dies
 AHEAD = 2  # runs for each thread of a cluster that its scheduler has at a time
@@ -61,8 +62,17 @@ class _Worker:
 
     def __init__(self, files: Mapping[str, bytes]) -> None:
         spawn = multiprocessing.get_context("spawn")
+        self.files = files
         self.pool = ProcessPoolExecutor(1, spawn, initializer=begin, initargs=(files,))
         self.pid = self.pool.submit(os.getpid)
+
+    def replaced(self) -> _Worker:
+        """Return another one in place of one that died; InputError if it did not even start."""
+        self.pool.shutdown(wait=False)
+        if error := self.pid.exception():
+            words = f"worker processes do not start: {error}"
+            raise InputError(f"{words} In a script, study(...) goes under {MAIN}") from error
+        return _Worker(self.files)
 
     def kill(self) -> None:
         """End it at once, whatever it does."""
@@ -75,7 +85,7 @@ class _Worker:
 def on_pool(jobs: Sequence[Job], plan: Plan, workers: int) -> Iterator[Finished]:
     """Solve runs in worker processes of this machine."""
     if getattr(multiprocessing.current_process(), "_inheriting", False):
-        raise InputError("call study(...) in a script under: if __name__ == '__main__':")
+        raise InputError(f"study(...) of a script goes under {MAIN}")
     queue = deque((job, 1) for job in jobs)
     busy: dict[Future, tuple[_Worker, Job, int]] = {}
     with one_thread():
@@ -85,17 +95,18 @@ def on_pool(jobs: Sequence[Job], plan: Plan, workers: int) -> Iterator[Finished]
                 while queue and idle:
                     worker, (job, tries) = idle.pop(), queue.popleft()
                     how = job.description, {}, plan.study.keep, plan.study.fields
-                    busy[worker.pool.submit(outcome, *how)] = worker, job, tries
+                    with suppress(BrokenProcessPool):  # it died while it had nothing to do
+                        busy[worker.pool.submit(outcome, *how)] = worker, job, tries
+                        continue
+                    idle.append(worker.replaced())
+                    queue.appendleft((job, tries))
                 for future in wait(busy, return_when=FIRST_COMPLETED).done:
                     worker, job, tries = busy.pop(future)
                     try:
                         row, files = future.result()
                         idle.append(worker)
-                    except BrokenProcessPool as error:
-                        if worker.pid.done() and worker.pid.exception():
-                            raise InputError(f"worker processes do not start: {error}") from error
-                        worker.pool.shutdown(wait=False)
-                        idle.append(_Worker(plan.files))
+                    except BrokenProcessPool:
+                        idle.append(worker.replaced())
                         if tries < TRIES:
                             queue.appendleft((job, tries + 1))
                             continue
