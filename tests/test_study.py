@@ -1,6 +1,7 @@
 """Studies: the same table from every place, kills, impossible runs, refusals before the first."""
 
 import csv
+import hashlib
 import json
 import multiprocessing
 import os
@@ -86,9 +87,7 @@ def test_dask_gives_the_same_table_and_refuses_another_version(sampled, tmp_path
         qf.study(study, scheduler=cluster.scheduler_address, out=tmp_path)
         assert rows(tmp_path) == rows(folder)
         monkeypatch.setattr(run_module, "package_version", lambda: "9.9")
-        with pytest.raises(
-            qf.InputError, match=r"worker tcp://.* has quasiform 0"
-        ):
+        with pytest.raises(qf.InputError, match=r"worker tcp://.* has quasiform 0"):
             qf.study(study, scheduler=cluster.scheduler_address, out=tmp_path / "other")
     with pytest.raises(qf.InputError, match="no Dask scheduler at"):
         qf.study(study, scheduler="tcp://127.0.0.1:1", out=tmp_path / "none")
@@ -329,3 +328,36 @@ def test_command_line(tmp_path, capsys):
     assert "4 of 4 runs" in said.err
     assert main([*words, "--share", "3/2"]) == 2
     assert main([*words, "--scheduler", "here", "--share", "1/2"]) == 2
+
+
+# What is kept
+
+
+def test_fields_of_all_runs_are_in_one_file(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    qf.study(FOUR, out=tmp_path)
+    assert not (tmp_path / "fields.h5").exists()
+    two = FOUR | {"fields": True, "vary": {"displacement": [4.0, 5.0]}}
+    qf.study(two, out=tmp_path)  # solved again: their fields were not kept
+    table = qf.study(FOUR | {"fields": True}, out=tmp_path)
+    assert len(lines(tmp_path)) == 4 + 2 + 2
+    model = qf.off_axis_tension(size=40.0, displacement=5.0)
+    sheet = qf.solve(model, estimate=False).sheet
+    with h5py.File(tmp_path / "fields.h5") as file:
+        assert json.loads(file.attrs["runs"]) == table["run"]
+        run = file[table["run"][1]]
+        np.testing.assert_array_equal(run["triangles"], sheet.triangles)
+        np.testing.assert_allclose(run["points"], sheet.points, atol=1e-9)
+        gamma = sheet.cell_fields["shear_angle"]
+        np.testing.assert_allclose(run["cell/shear_angle"], gamma, atol=1e-9)
+    assert not (tmp_path / "fields").exists()
+    manifest = json.loads((tmp_path / "croissant.json").read_bytes())
+    assert [f["name"] for f in manifest["recordSet"][0]["field"]] == list(table)
+    digest = hashlib.sha256((tmp_path / "fields.h5").read_bytes()).hexdigest()
+    assert manifest["distribution"][1]["sha256"] == digest
+
+
+def test_parquet_beside_csv(tmp_path):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    table = qf.study(FOUR, out=tmp_path)
+    assert parquet.read_table(tmp_path / "study.parquet").to_pydict() == table

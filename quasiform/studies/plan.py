@@ -28,6 +28,7 @@ from ..schema import validated
 from ..toml_file import dotted_values
 from . import file as study_file
 from .design import rows
+from .fields import check_available
 from .run import PLACE, environment, model_of, unpack
 
 Case = Callable[..., Recipe | Model]
@@ -87,6 +88,8 @@ def plan(source: str | Path | Mapping[str, Any], case: Case | None = None) -> Pl
     InputError for a wrong file, an unknown key or output, and where no run has a model.
     """
     study, folder = study_file.read(source, case)
+    if study.fields:
+        check_available()
     with naming(source if isinstance(source, str | Path) else study.name):
         values = rows(study.design, study.vary, study.runs, study.seed)
         luggage = _Luggage()

@@ -18,11 +18,13 @@ from typing import Any
 from ..checks import InputError
 from ..result.files import Claim, added, writing_to
 from ..toml_file import dotted_values
+from .fields import MANIFEST, STORE, collect, manifest
 from .plan import Job, Plan
 from .run import FIELDS, PLACE, TEXTS
 
+ROWS = "rows.jsonl"
 TABLES = ("study.csv", "study.parquet")
-FILES = (*TABLES, "fields.h5", "croissant.json", "runs", "rows.jsonl")
+FILES = (*TABLES, STORE, MANIFEST, "runs", ROWS)
 ERRORS = {  # output: the same among the estimated errors
     r"(force_N|load_work_mJ)": r"\1",
     r"shear_angle_deg\.p99": "shear_angle_deg",
@@ -40,13 +42,14 @@ class Store:
         if (folder / "summary.json").exists():
             raise InputError(f"{folder} holds the result of one run: choose another folder")
         self.claim = Claim(folder, lock=f".lock{part}")
-        self.folder, self.path = folder, folder / f"rows{part}.jsonl"
+        self.folder, self.path = folder, folder / ROWS.replace(".", f"{part}.")
         self.rows = read_rows(folder)
 
     def add(
         self, row: dict[str, Any], files: Mapping[str, bytes], paths: Mapping[str, str]
     ) -> None:
         """Keep a row that was finished, and before it the files that it leaves."""
+        row |= {"fields": FIELDS in files, "kept": bool(files.keys() - {FIELDS})}
         content = _with_paths(json.dumps(row).encode(), paths)
         with writing_to(self.folder):
             for name, left in files.items():
@@ -79,7 +82,17 @@ class Store:
                 writer.writerow(names)
                 writer.writerows([_cell(value) for value in row.values()] for row in rows)
             _parquet(table, staging / TABLES[1])
+        if plan.study.fields and self.path.name == ROWS:  # shares may end at the same time
+            self._write_fields(plan, table)
         return table
+
+    def _write_fields(self, plan: Plan, table: Mapping[str, list[Any]]) -> None:
+        with writing_to(self.folder):
+            collect(self.folder, table["run"])
+            if (self.folder / STORE).exists():
+                text = manifest(self.folder, plan.study.name, table, plan.study.outputs)
+                with added(self.folder) as staging:
+                    (staging / MANIFEST).write_text(text, encoding="utf-8")
 
 
 def read_rows(folder: Path) -> dict[str, dict[str, Any]]:
@@ -100,12 +113,17 @@ def pending(
     resume: bool = False,
     share: tuple[int, int] | None = None,
 ) -> list[Job]:
-    """Runs that are still to do, each once; with `resume` those that failed too."""
+    """Runs that are still to do, each once; with `resume` those that failed too.
+
+    So is a run whose result or fields were not kept, and shall be now.
+    """
+    wanted = ["kept"] * plan.study.keep + ["fields"] * plan.study.fields
     first, step = (share[0] - 1, share[1]) if share else (0, 1)
     found: dict[str, Job] = {}
     for job in plan.jobs[first::step]:
         row = rows.get(job.id)
-        if not job.error and (row is None or (resume and "error" in row)):
+        todo = row is None or (resume if "error" in row else not all(row[w] for w in wanted))
+        if todo and not job.error:
             found[job.id] = job
     return list(found.values())
 
