@@ -47,13 +47,15 @@ def one_thread() -> Iterator[None]:
 def begin(files: Mapping[str, bytes]) -> None:
     """Prepare a worker process: its files, no Ctrl-C of its own, and an end with its parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda *_: _end())
     unpack(files)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    parent = multiprocessing.parent_process()
+    threading.Thread(target=lambda: (parent.join(), _end()), daemon=True).start()
 
 
-def _end_with_parent() -> None:
-    multiprocessing.parent_process().join()
-    folder().cleanup()
+def _end() -> None:
+    if folder.cache_info().currsize:
+        folder().cleanup()
     os._exit(1)
 
 
@@ -113,8 +115,10 @@ def on_pool(jobs: Sequence[Job], plan: Plan, workers: int) -> Iterator[Finished]
                         row, files = DIED, {}
                     yield job, row, files
         finally:
-            for worker in [*idle, *(worker for worker, *_ in busy.values())]:
+            for worker, *_ in busy.values():
                 worker.kill()
+            for worker in idle:
+                worker.pool.shutdown()
 
 
 def on_dask(jobs: Sequence[Job], plan: Plan, scheduler: Any) -> Iterator[Finished]:

@@ -66,13 +66,10 @@ def unpack(files: Mapping[str, bytes]) -> None:
             path.write_bytes(content)
 
 
-def _place() -> str:
-    return f"{Path(folder().name).as_posix()}/"
-
-
 def model_of(description: Mapping[str, Any]) -> tuple[Model, dict[str, Any]]:
     """Build the model of a run; return it with its options."""
-    description = json.loads(json.dumps(description).replace(PLACE, _place()))
+    if PLACE in (text := json.dumps(description)):
+        description = json.loads(text.replace(PLACE, f"{Path(folder().name).as_posix()}/"))
     if "recipe" in description:
         for reference in description["recipe"]["changes"]:
             import_module(reference.partition(":")[0])
@@ -117,19 +114,25 @@ def outcome(
         row = {"error": "not enough memory"}
     except Exception as error:  # a run that crashes is a row of the study
         row = {"error": " ".join(f"{type(error).__name__}: {error}".split())}
-    row = json.loads(json.dumps(row).replace(_place(), PLACE))
+    row = json.loads(_portable(json.dumps(row).encode()))
     return row | {"cpu_s": round(time.thread_time() - clock, 3)}, left
+
+
+def _portable(content: bytes) -> bytes:
+    """Return a text without the folder of this process, if it has one."""
+    if not folder.cache_info().currsize:
+        return content
+    return content.replace(f"{Path(folder().name).as_posix()}/".encode(), PLACE.encode())
 
 
 def _files(result: Result, keep: bool, fields: bool) -> dict[str, bytes]:
     """Contents of the files of a result, by name."""
     left = {}
     if keep:
-        with TemporaryDirectory(dir=folder().name) as out:
+        with TemporaryDirectory() as out:
             result.save(out, force=True)
             left = {path.name: path.read_bytes() for path in sorted(Path(out).iterdir())}
-            for name in filter(lambda name: name.endswith(TEXTS), left):
-                left[name] = left[name].replace(_place().encode(), PLACE.encode())
+            left |= {name: _portable(left[name]) for name in left if name.endswith(TEXTS)}
     if fields:
         sheet, packed = result.sheet, BytesIO()
         arrays = {f"point/{name}": value for name, value in sheet.point_fields.items()}
