@@ -5,12 +5,15 @@ import hashlib
 import json
 import multiprocessing
 import os
+import re
 import signal
 import subprocess
 import sys
 import time
+import tomllib
 from pathlib import Path
 
+import jsonschema
 import numpy as np
 import pytest
 
@@ -361,3 +364,14 @@ def test_parquet_beside_csv(tmp_path):
     parquet = pytest.importorskip("pyarrow.parquet")
     table = qf.study(FOUR, out=tmp_path)
     assert parquet.read_table(tmp_path / "study.parquet").to_pydict() == table
+
+
+def test_the_study_of_the_documentation_is_one(capsys):
+    page = (ROOT / "docs" / "how-to" / "studies.md").read_text(encoding="utf-8")
+    study = tomllib.loads(re.search("```toml\n(.*?)```", page, re.DOTALL)[1])
+    assert len(plan(study).jobs) == 64
+    assert main(["schema", "--study"]) == 0
+    schema = json.loads(capsys.readouterr().out)
+    jsonschema.validate(study, schema)
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate(study | {"desgin": "grid"}, schema)

@@ -724,13 +724,14 @@ def new(
 
 
 @app.command
-def schema() -> None:
+def schema(*, study: Annotated[bool, about("Of the file of a study.")] = False) -> None:
     """Print the JSON schema of a scene file, for editors."""
     import json
 
-    from ..scenes.scene_file import json_schema
+    from ..scenes.scene_file import Scene, json_schema
+    from ..studies.file import Study
 
-    terminal.say(json.dumps(json_schema(), indent=2))
+    terminal.say(json.dumps(json_schema(Study if study else Scene), indent=2))
 
 
 @app.command

@@ -472,9 +472,9 @@ def read_text(written: Mapping[str, str]) -> SceneFile:
     return replace(file, source=written["source"])
 
 
-def json_schema() -> dict[str, Any]:
+def json_schema(file: type[Table] = Scene) -> dict[str, Any]:
     """Return the JSON schema of a scene file: keys, units, limits and defaults, for editors."""
-    schema = Scene.model_json_schema()
+    schema = file.model_json_schema()
     schema["properties"]["format"] = {"enum": [1, FORMAT], "description": "Of the file"}
     return {"$schema": "https://json-schema.org/draft/2020-12/schema"} | schema
 
