@@ -101,7 +101,7 @@ def study(plan: Plan, jobs: Sequence[Job], rows: Mapping[str, Any]) -> str:
     taken = [row["cpu_s"] for row in rows.values() if row.get("cpu_s")]
     seconds = float(np.mean(taken)) if taken else None
     if seconds is None:
-        _, model, options = plan.first
+        model, options = plan.first
         names = "one_mesh", "linear", "seeds", "increment", "estimate"
         found = meshes(model, *(options[name] for name in names))
         seconds = sum(mesh.solves * mesh.seconds for mesh in found) if found else None

@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
+from functools import partial
 from hashlib import file_digest
 from pathlib import Path
 from typing import Any
@@ -40,9 +41,7 @@ CONTEXT: dict[str, Any] = {word: f"cr:{word}" for word in WORDS.split()} | {
 }
 
 
-def check_available() -> Any:
-    """Return h5py; InputError where it is missing."""
-    return optional("h5py", "study", "fields = true needs h5py")
+needed = partial(optional, "h5py", "study", "fields = true needs h5py")
 
 
 def collect(folder: Path, runs: Sequence[str]) -> None:
@@ -53,7 +52,7 @@ def collect(folder: Path, runs: Sequence[str]) -> None:
     single = sorted((folder / "fields").glob("*.npz"))
     if not single:
         return
-    h5py, new, old = check_available(), folder / f".new-{STORE}", folder / STORE
+    h5py, new, old = needed(), folder / f".new-{STORE}", folder / STORE
     with h5py.File(new, "w") as file:
         if old.exists():
             with h5py.File(old) as before:
@@ -73,11 +72,11 @@ def collect(folder: Path, runs: Sequence[str]) -> None:
 
 
 def manifest(
-    folder: Path, name: str, table: Mapping[str, Sequence[Any]], outputs: Sequence[str]
+    paths: Sequence[Path], name: str, table: Mapping[str, Sequence[Any]], outputs: Sequence[str]
 ) -> str:
     """Return the manifest of a table and of the fields beside it, as JSON."""
     files = []
-    for path in (folder / "study.csv", folder / STORE):
+    for path in paths:
         with path.open("rb") as file:
             digest = file_digest(file, "sha256").hexdigest()
         about = {"@type": "cr:FileObject", "@id": path.name, "name": path.name, "sha256": digest}

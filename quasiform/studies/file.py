@@ -84,7 +84,8 @@ def read(source: str | Path | Mapping[str, Any], case: Callable | None) -> tuple
 
 
 def _study(table: dict[str, Any], stem: str, case: Callable | None) -> Study:
-    study = validated(Study, {"name": stem, **without_format(table)})
+    name = re.sub(r"[^\w.+-]+", "-", stem).lstrip(".-") or "study"
+    study = validated(Study, {"name": name, **without_format(table)})
     if not re.fullmatch(r"\w[\w.+-]*", study.name):
         raise InputError(f"name must be that of a folder, got {study.name!r}")
     if case is None and study.kind == "form" and study.scene is None:

@@ -162,18 +162,18 @@ def on_dask(jobs: Sequence[Job], plan: Plan, scheduler: Any) -> Iterator[Finishe
 
 
 def _check_workers(client: Any) -> None:
-    """Refuse a worker with another version, by its name."""
+    """Refuse a worker with another version, linear solver or without numba, by its name."""
 
-    def version() -> str:  # sent as code: a worker may know nothing of this module
+    def found() -> dict[str, Any]:  # sent as code: another version may not have this module
         from importlib.metadata import version
 
-        return version("quasiform")
+        try:
+            from quasiform.studies.run import environment
+        except ImportError:
+            return {"quasiform": version("quasiform")}
+        return environment()
 
-    here = environment()
-    for address, found in client.run(version, on_error="return").items():
-        there = {**here, "quasiform": "missing" if isinstance(found, Exception) else found}
-        if there != here:
-            raise InputError(f"worker {address} has {difference(here, there)}")
-    for address, there in client.run(environment).items():
-        if other := difference(here, there):
+    for address, there in client.run(found, on_error="return").items():
+        there = {} if isinstance(there, Exception) else there
+        if other := difference(environment(), there):
             raise InputError(f"worker {address} has {other}")

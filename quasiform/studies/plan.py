@@ -16,7 +16,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from ..checks import InputError, check_keys, naming, suggestion
+from ..checks import InputError, check_keys, check_number, naming, suggestion
 from ..fabric import Fabric, fabric_of
 from ..model import Model
 from ..recipe import Recipe
@@ -26,9 +26,9 @@ from ..scenes.fabric_tests import off_axis_tension
 from ..scenes.overrides import merged, overridden
 from ..schema import validated
 from ..toml_file import dotted_values
+from . import fields
 from . import file as study_file
 from .design import rows
-from .fields import check_available
 from .run import PLACE, environment, model_of, unpack
 
 Case = Callable[..., Recipe | Model]
@@ -67,15 +67,15 @@ class Plan:
     paths: dict[str, str]
 
     @cached_property
-    def first(self) -> tuple[Job, Model, dict[str, Any]]:
-        """The first run that has a model, its model and options; InputError if there is none."""
+    def first(self) -> tuple[Model, dict[str, Any]]:
+        """Model and options of the first run that has them; InputError if there is none."""
         reasons = []
         for job in islice(self.jobs, TRIED):
             try:
                 if job.error:
                     raise InputError(job.error)
                 unpack(self.files)
-                return (job, *model_of(job.description))
+                return model_of(job.description)
             except InputError as error:
                 reasons.append(str(error))
         count = "the only run" if len(self.jobs) == 1 else f"the first {len(reasons)} runs"
@@ -89,26 +89,30 @@ def plan(source: str | Path | Mapping[str, Any], case: Case | None = None) -> Pl
     """
     study, folder = study_file.read(source, case)
     if study.fields:
-        check_available()
+        fields.needed()
     with naming(source if isinstance(source, str | Path) else study.name):
         values = rows(study.design, study.vary, study.runs, study.seed)
         luggage = _Luggage()
         kind = _function if case else _scene if study.kind == "form" else _strip
         describe = partial(kind, case or study, folder, luggage)
-        jobs = [_job(entry, study.fixed, describe) for entry in values]
+        here = {"environment": environment()}
+        jobs = [_job(entry, study.fixed, describe, here) for entry in values]
         if all(job.error for job in jobs):
             raise InputError(jobs[0].error)
         found = Plan(study, jobs, luggage.files, luggage.paths)
-        _check_outputs(study.outputs, found.first[1])
+        _check_outputs(study.outputs, found.first[0])
     return found
 
 
 def _job(
-    values: dict[str, Any], fixed: Mapping[str, Any], describe: Callable[[dict[str, Any]], Any]
+    values: dict[str, Any],
+    fixed: Mapping[str, Any],
+    describe: Callable[[dict[str, Any]], dict[str, Any]],
+    here: dict[str, Any],
 ) -> Job:
     """Describe a run, or say why it is impossible."""
     try:
-        description, error = describe({**fixed, **values}) | {"environment": environment()}, ""
+        description, error = describe({**fixed, **values}) | here, ""
     except InputError as wrong:
         description, error = {"values": {**fixed, **values}}, str(wrong)
     text = json.dumps(description, sort_keys=True, default=str)
@@ -153,7 +157,7 @@ def _scene(
     name = study.scene
     if name not in scene_file.built_in():
         name = str(folder / name)
-    size = values.pop("size", None)
+    size = check_number("size", values.pop("size")) if "size" in values else None
     law = {"law": str(_law(values.pop("law"), folder))} if "law" in values else {}
     solving = ({"one_mesh": True} if size is not None else {}) | study.solving
     run = {f"run.{key}": value for key, value in solving.items()}
@@ -204,17 +208,19 @@ def _function(
         inspect.signature(case).bind(**values)
     except TypeError as error:
         raise InputError(f"the function cannot be called with these keys: {error}") from error
-    made = case(**values)
+    try:
+        made = case(**values)
+    except Exception as error:  # a run that has no model is a row of the study
+        raise InputError(f"the function failed: {type(error).__name__}: {error}") from error
     recipe = made.recipe if isinstance(made, Model) else made
     if not isinstance(recipe, Recipe):
         raise InputError(f"the function must return a recipe or a model with one, got {made!r}")
     if isinstance(made, Model) and made.changed:
         raise InputError("a model that was changed by hand has no recipe: use including(change)")
-    given = [
-        (k, replace(v, source="") if isinstance(v, scene_file.SceneFile) else v)
-        for k, v in recipe.given
-    ]
-    recipe = replace(recipe, given=tuple(given))
+    given = dict(recipe.given)
+    if isinstance(file := given.get("file"), scene_file.SceneFile):
+        given["file"] = replace(file, source="")  # where it was is no part of a run
+    recipe = replace(recipe, given=tuple(given.items()))
     return {"recipe": luggage.packed(recipe.written(), [Path(name) for name in recipe.files()])}
 
 

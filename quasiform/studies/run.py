@@ -9,8 +9,10 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from functools import cache
 from importlib import import_module
+from importlib.util import find_spec
 from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -27,29 +29,23 @@ from ..solve.asked import asked, solved
 
 PLACE = "@files/"
 FIELDS = "fields.npz"
+LINEAR = "linear solver"
 TEXTS = (".json", ".toml")
 LONG = ("model", "parameters", "files", "assumed", "solver")  # of a summary: in the study already
 
 
 def environment() -> dict[str, Any]:
     """Return what the digits of a result depend on: the same wherever a study runs."""
-    found = {"quasiform": package_version(), "linear": "pardiso", "compiled": True}
-    try:
-        _ = import_module("pymklpardiso")._PardisoSolver
-    except (ImportError, AttributeError, OSError):
-        found["linear"] = "superlu"
-    try:
-        import_module("numba")
-    except ImportError:
-        found["compiled"] = False
+    found = {"quasiform": package_version(), LINEAR: "superlu", "numba": bool(find_spec("numba"))}
+    with suppress(ImportError, AttributeError, OSError):
+        if import_module("pymklpardiso")._PardisoSolver:
+            found[LINEAR] = "pardiso"
     return found
 
 
 def difference(here: Mapping[str, Any], there: Mapping[str, Any]) -> str:
     """Say in which part an environment differs; empty if in none."""
-    names = {"quasiform": "quasiform", "linear": "linear solver", "compiled": "numba"}
-    found = [k for k in here if here[k] != there.get(k)]
-    return ", ".join(f"{names[k]} {there.get(k)} (here {here[k]})" for k in found)
+    return ", ".join(f"{k} {there.get(k)} (here {v})" for k, v in here.items() if there.get(k) != v)
 
 
 @cache
@@ -87,7 +83,7 @@ def model_of(description: Mapping[str, Any]) -> tuple[Model, dict[str, Any]]:
         file = read_text({"toml": description["scene"], "source": ""})
         model, run = forming(file, size=description["size"]), file.run
     if run.get("linear", "auto") == "auto":
-        run = {**run, "linear": description["environment"]["linear"]}
+        run = {**run, "linear": description["environment"][LINEAR]}
     return asked(model, run)
 
 

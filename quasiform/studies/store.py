@@ -82,17 +82,13 @@ class Store:
                 writer.writerow(names)
                 writer.writerows([_cell(value) for value in row.values()] for row in rows)
             _parquet(table, staging / TABLES[1])
-        if plan.study.fields and self.path.name == ROWS:  # shares may end at the same time
-            self._write_fields(plan, table)
-        return table
-
-    def _write_fields(self, plan: Plan, table: Mapping[str, list[Any]]) -> None:
-        with writing_to(self.folder):
-            collect(self.folder, table["run"])
-            if (self.folder / STORE).exists():
-                text = manifest(self.folder, plan.study.name, table, plan.study.outputs)
-                with added(self.folder) as staging:
+            if plan.study.fields and self.path.name == ROWS:  # shares may end at the same time
+                collect(self.folder, table["run"])
+                paths = [staging / TABLES[0], self.folder / STORE]
+                if paths[1].exists():
+                    text = manifest(paths, plan.study.name, table, outputs)
                     (staging / MANIFEST).write_text(text, encoding="utf-8")
+        return table
 
 
 def read_rows(folder: Path) -> dict[str, dict[str, Any]]:
