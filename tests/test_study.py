@@ -85,10 +85,16 @@ def test_two_workers_and_shares_give_the_same_table(sampled, tmp_path):
 def test_dask_gives_the_same_table_and_refuses_another_version(sampled, tmp_path, monkeypatch):
     distributed = pytest.importorskip("distributed")
     study, _, folder = sampled
+    monkeypatch.setenv(study_cases.FLAG, str(tmp_path / "flag"))
     options = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None}
     with distributed.LocalCluster(**options) as cluster:
         qf.study(study, scheduler=cluster.scheduler_address, out=tmp_path)
         assert rows(tmp_path) == rows(folder)
+        three = {"outputs": ["force_N"], "vary": {"displacement": [5.0, 6.0, 7.0]}}
+        where = {"scheduler": cluster.scheduler_address, "out": tmp_path / "mortal"}
+        table = qf.study(three, case=study_cases.mortal, **where)
+        assert table["status"] == ["completed"] * 3
+        assert (tmp_path / "flag").exists()  # one worker has died
         monkeypatch.setattr(run_module, "package_version", lambda: "9.9")
         with pytest.raises(qf.InputError, match=r"worker tcp://.* has quasiform 0"):
             qf.study(study, scheduler=cluster.scheduler_address, out=tmp_path / "other")

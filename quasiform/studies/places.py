@@ -124,7 +124,7 @@ def on_pool(jobs: Sequence[Job], plan: Plan, workers: int) -> Iterator[Finished]
 def on_dask(jobs: Sequence[Job], plan: Plan, scheduler: Any) -> Iterator[Finished]:
     """Solve runs on a Dask cluster, by the address of its scheduler or a client of it.
 
-    Dask repeats the runs of a worker that dies, and says when one has killed several.
+    Dask repeats the runs of a worker that dies, and says when several have died with one.
     """
     distributed = optional("distributed", "study", "a scheduler needs Dask")
     own = isinstance(scheduler, str)
@@ -137,7 +137,7 @@ def on_dask(jobs: Sequence[Job], plan: Plan, scheduler: Any) -> Iterator[Finishe
         files = client.submit(dict, plan.files, pure=False)  # made again if its worker dies
         solve = partial(client.submit, outcome, pure=False, retries=1)
         settings = {"files": files, "keep": plan.study.keep, "fields": plan.study.fields}
-        queue, running = deque(jobs), {}
+        queue, running, suspects = deque(jobs), {}, []
         finished = distributed.as_completed()
 
         def fill() -> None:
@@ -150,12 +150,18 @@ def on_dask(jobs: Sequence[Job], plan: Plan, scheduler: Any) -> Iterator[Finishe
 
         fill()
         for future in finished:
+            job = running.pop(future.key)
             try:
-                row, left = future.result()
+                yield job, *future.result()
+            except distributed.scheduler.KilledWorker:
+                suspects.append(job)
+            fill()
+        for job in suspects:  # alone: those that waited on a worker that died are suspected too
+            try:
+                row, left = solve(job.description, **settings).result()
             except distributed.scheduler.KilledWorker:
                 row, left = DIED, {}
-            yield running.pop(future.key), row, left
-            fill()
+            yield job, row, left
     finally:
         if own:
             client.close()
