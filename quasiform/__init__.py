@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from .scenes.fabric_tests import cantilever, off_axis_tension, picture_frame
     from .scenes.forming import forming
     from .solve import Journal, Progress, refine, solve, spread
+    from .studies import StudyProgress, study
     from .tools.shapes import Tool
 
 _MODULES = {  # where each public name is; its module is imported when the name is first used
@@ -43,6 +44,7 @@ _MODULES = {  # where each public name is; its module is imported when the name 
     "Progress": "solve",
     "Recipe": "recipe",
     "Result": "result.run",
+    "StudyProgress": "studies",
     "TabulatedLaw": "fabric",
     "Term": "energy.term",
     "ThreeStageLaw": "fabric",
@@ -61,6 +63,7 @@ _MODULES = {  # where each public name is; its module is imported when the name 
     "refine": "solve",
     "solve": "solve",
     "spread": "solve",
+    "study": "studies",
 }
 __all__ = list(_MODULES)
 

@@ -26,7 +26,7 @@ from quasiform.console.cli import main
 from quasiform.console.progress import LiveProgress, progress
 from quasiform.draw import plot
 from quasiform.scenes import scene_file
-from quasiform.solve import levels
+from quasiform.solve import asked, levels
 
 ROOT = Path(__file__).parents[1]
 OAT = ["oat", "--size", "40", "--displacement", "5"]
@@ -78,7 +78,7 @@ def unsolved(monkeypatch):
     def solve(*arguments, **named):
         raise AssertionError("solved")
 
-    monkeypatch.setattr(qf, "solve", solve)
+    monkeypatch.setattr(asked, "solve", solve)
 
 
 def contents(folder):
@@ -382,7 +382,7 @@ def test_options_reach_the_scene_and_the_solver(here, monkeypatch):
         given.append((scene, increment, linear, estimate))
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(qf, "solve", solve)
+    monkeypatch.setattr(asked, "solve", solve)
     qf.Fabric(name="mine").save("mine.toml")
     numbers = "--angle 50 --length 300 --width 120 --displacement 7 --size 60"
     assert main(f"oat {numbers} --law mine.toml --increment 3 --linear superlu".split()) == 3
@@ -459,8 +459,8 @@ def test_what_the_command_leaves_out_is_taken_from_the_file(monkeypatch):
         scenes.append(scene)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(qf, "solve", solve)
-    monkeypatch.setattr(qf, "refine", solve)
+    monkeypatch.setattr(asked, "solve", solve)
+    monkeypatch.setattr(asked, "refine", solve)
     Path("mine.toml").write_text(MINE, encoding="utf-8")
     assert main(["form", "mine.toml"]) == 3
     given = "--orientation 0 --law locking --size 30 --travel 1 --symmetry auto"
@@ -535,7 +535,7 @@ def test_an_interrupted_run_leaves_what_was_there(capsys, here, monkeypatch, pla
     assert main([*OAT, "--out", "out"]) == 0
     before = contents(here / "out")
     monkeypatch.setattr(
-        *((qf, "solve") if place == "solve" else (qf.Result, "summary")), interrupted
+        *((asked, "solve") if place == "solve" else (qf.Result, "summary")), interrupted
     )
     capsys.readouterr()
     assert main([*OAT, "--out", "out", "--force"]) == 3
@@ -579,7 +579,7 @@ def test_a_stopped_run_is_written_says_so_and_exits_3(capsys, monkeypatch):
         result.save(named["out"].folder)
         return result
 
-    monkeypatch.setattr(qf, "solve", stopped)
+    monkeypatch.setattr(asked, "solve", stopped)
     assert main([*OAT, "--out", "out"]) == 3
     out = squeezed(capsys.readouterr().out)
     assert "stopped at 5 of 5 mm: the sheet is torn" in out
@@ -596,7 +596,7 @@ def test_the_error_estimate_is_told_if_there_is_one(capsys, monkeypatch):
     estimate, solve = {"shear_angle_deg": 0.25, "force_N": 112.3}, qf.solve
     estimate["shear_angle_mean_deg"] = 0.0
     monkeypatch.setattr(
-        qf, "solve", lambda scene, *_, **__: replace(solve(scene), estimate=estimate)
+        asked, "solve", lambda scene, *_, **__: replace(solve(scene), estimate=estimate)
     )
     assert main(OAT) == 0
     told = capsys.readouterr().out
@@ -653,7 +653,7 @@ def test_the_live_bar_gives_the_cursor_back(capsys, monkeypatch):
         callback(STEP)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(qf, "solve", failing)
+    monkeypatch.setattr(asked, "solve", failing)
     terminal = terminal_on_stderr(monkeypatch)
     assert main(OAT) == 3
     drawn = terminal.getvalue()

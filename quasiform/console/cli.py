@@ -14,7 +14,7 @@ import sys
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, astuple, dataclass, replace
+from dataclasses import asdict, astuple, dataclass
 from importlib import import_module
 from importlib.util import module_from_spec, spec_from_file_location
 from itertools import count
@@ -206,6 +206,14 @@ def _override(text: str) -> tuple[str, Any]:
     with suppress(ValueError):
         return key, tomllib.loads(f"value = {value}")["value"]
     return key, value
+
+
+def _share(text: str) -> tuple[int, int]:
+    with suppress(ValueError):
+        i, n = (int(number) for number in text.split("/"))
+        if 1 <= i <= n:
+            return i, n
+    raise ValueError(f"expected I/N with I from 1 to N, got '{text}'")
 
 
 def _or_file(*names: str) -> Callable[[object], list[str]]:
@@ -462,6 +470,47 @@ class Reference:
 
 
 @app.command
+def study(
+    file: Annotated[File, about("Scene, varied keys and outputs of the study, .toml.")],
+    /,
+    *,
+    workers: Annotated[Count | None, about("Processes on this machine (1).")] = None,
+    scheduler: Annotated[
+        str | None,
+        about("Dask scheduler that gives the runs to its workers."),
+        Parameter(metavar="ADDRESS"),
+    ] = None,
+    share: Annotated[
+        tuple[int, int] | None,
+        word(_share, "I/N"),
+        about("Solve part I of N here: for the arrays of a batch system."),
+    ] = None,
+    resume: Annotated[bool, about("Repeat runs that failed.")] = False,
+    dry_run: Annotated[
+        bool, about("Print how many runs there are, and the expected time.")
+    ] = False,
+    out: Annotated[Folder | None, about("Folder of the study; its runs are not repeated.")] = None,
+) -> None:
+    """Many runs over varied keys of a scene or of off-axis tension -> study.csv."""
+    from ..studies import plan, store
+    from . import forecast
+    from .progress import StudyBar
+
+    if scheduler and (workers or share):
+        raise InputError("--scheduler does not go with --workers or --share")
+    planned = plan(file)
+    folder = out or Path(planned.study.name)
+    rows = store.read_rows(folder)
+    words = forecast.study(planned, store.pending(planned, rows, resume, share), rows)
+    if dry_run:
+        terminal.say(words)
+        return
+    terminal.say(f"writing to {folder}", words)
+    table = qf.study(planned, workers or 1, scheduler, share, resume, folder, callback=StudyBar())
+    terminal.say(terminal.study(table), terminal.files(folder, store.FILES))
+
+
+@app.command
 def compare(
     result: Annotated[Folder, about("Folder of a result.")],
     reference: Annotated[File, about("A result; a .vtu, .vtk, .xdmf or .inp; a CSV of points.")],
@@ -675,13 +724,14 @@ def new(
 
 
 @app.command
-def schema() -> None:
+def schema(*, study: Annotated[bool, about("Of the file of a study.")] = False) -> None:
     """Print the JSON schema of a scene file, for editors."""
     import json
 
-    from ..scenes.scene_file import json_schema
+    from ..scenes.scene_file import Scene, json_schema
+    from ..studies.file import Study
 
-    terminal.say(json.dumps(json_schema(), indent=2))
+    terminal.say(json.dumps(json_schema(Study if study else Scene), indent=2))
 
 
 @app.command
@@ -712,25 +762,17 @@ def validate(
 
 # A run
 
-DRAFT = 2.0  # times the size and the increments
 # kept for `quasiform resume`
 OPTIONS = ("increment", "accuracy", "linear", "seeds", "one_mesh", "estimate")
 
 
 def _solve(model: qf.Model, solver: Solver, run: Mapping[str, Any] = MappingProxyType({})) -> int:
     """Solve a model, or describe it; `run` is how its scene says that it is solved."""
+    from ..solve.asked import asked
+
     own = {"increment": solver.increment, "linear": solver.linear or "auto"}
-    own |= {"accuracy": None, "seeds": None, "one_mesh": not model.contacts}
-    options = own | {"estimate": not solver.no_estimate} | dict(run)
-    accuracy = options["accuracy"]
-    if accuracy and not options["estimate"]:
-        raise InputError("--accuracy needs the error estimate: drop --no-estimate")
-    if options.pop("draft", False) or solver.draft:
-        if accuracy:
-            raise InputError("--draft answers on a coarse mesh: drop --accuracy")
-        model = model.recipe.build(DRAFT * model.size, like=model)
-        options |= {"one_mesh": True, "estimate": options["estimate"] and "coarse"}
-        options["increment"] = options["increment"] or DRAFT * model.increment
+    own |= {"estimate": not solver.no_estimate, "draft": solver.draft}
+    model, options = asked(model, own | dict(run))
     if not solver.dry_run:
         journal = qf.Journal(solver.claim(model.name), options, force=solver.force)
         return _run(model, journal)
@@ -739,7 +781,7 @@ def _solve(model: qf.Model, solver: Solver, run: Mapping[str, Any] = MappingProx
     names = "one_mesh", "linear", "seeds", "increment", "estimate"
     found = forecast.meshes(model, *(options[name] for name in names))
     lines = [terminal.describe(model), f"  expected time: {forecast.words(found)}"]
-    if accuracy:
+    if options["accuracy"]:
         lines.append("  and longer where --accuracy asks for a finer mesh than that")
     terminal.say(*lines)
     return 0
@@ -748,22 +790,13 @@ def _solve(model: qf.Model, solver: Solver, run: Mapping[str, Any] = MappingProx
 def _run(model: qf.Model, journal: qf.Journal) -> int:
     """Solve a model and leave its files in the journal's folder."""
     from ..result.files import FILES, INCREMENTS, RESUME
+    from ..solve.asked import solved
     from .progress import LiveProgress
 
     folder, options, clock = journal.folder, journal.options, perf_counter()
     terminal.say(f"writing to {folder}", terminal.describe(model))
-    how = {name: options[name] for name in ("increment", "linear", "estimate")} | {"out": journal}
     with LiveProgress(model.travel) as callback:
-        if options["one_mesh"]:
-            result = qf.solve(model, callback, **how)
-        else:
-            result = qf.refine(model, callback, options["accuracy"], **how)
-        if result.status == "completed" and options["seeds"]:
-            try:
-                qf.spread(result, range(1, options["seeds"] + 1), callback=callback)
-            except KeyboardInterrupt:
-                result = replace(result, reason="interrupted while perturbed starts were solved")
-            journal.close(result)
+        result = solved(model, options, callback, journal)
     unwritten = "cannot write to" in result.reason
     lines = terminal.report(result, perf_counter() - clock)
     if unwritten or (result.reason and result.states[-1].travel == 0):

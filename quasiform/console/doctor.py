@@ -22,6 +22,8 @@ PARTS = {  # name: (module, what for, extra)
     "libigl": ("igl", "tools from surface files", "surface"),
     "gmsh": ("gmsh", "tools and blanks from CAD files", "cad"),
     "ezdxf": ("ezdxf", "outlines from DXF files", "cad"),
+    "distributed": ("distributed", "studies on a Dask cluster", "study"),
+    "h5py": ("h5py", "fields of a study in one file", "study"),
     "plotly": ("plotly", "3D views in a browser", "report"),
 }
 PROGRAMS = {"ffmpeg": "mp4 animations (gif needs nothing)", "ccx": "tests of CalculiX decks only"}

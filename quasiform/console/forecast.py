@@ -8,8 +8,9 @@ buckles takes many times as many as one that does not, which nobody can know bef
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -18,6 +19,9 @@ from ..model import Model
 from ..solve import levels
 from ..solve.dependence import COARSER, FINER
 from ..solve.equilibrium import Equilibrium, NotConvergedError
+
+if TYPE_CHECKING:
+    from ..studies.plan import Job, Plan
 
 # factorisations for each largest increment of the travel, geometric means of runs: 9 of hemisphere,
 # tetrahedron and box at sizes of 5 to 20 mm (17 to 107), 3 of off-axis tension (6 to 17)
@@ -85,6 +89,28 @@ def words(found: tuple[Mesh, ...] | None) -> str:
         f"({duration(LEAST * seconds)} to {duration(MOST * seconds)}; buckling takes longest), "
         f"meshes of {sizes} mm"
     )
+
+
+def study(plan: Plan, jobs: Sequence[Job], rows: Mapping[str, Any]) -> str:
+    """Return how many runs a study has still to solve, and how long they will take, as text."""
+    impossible = sum(bool(job.error) for job in plan.jobs)
+    text = f"{len(plan.jobs)} runs" + f", {impossible} of them impossible" * bool(impossible)
+    text += f", {len(jobs)} to solve"
+    if not jobs:
+        return text
+    taken = [row["cpu_s"] for row in rows.values() if row.get("cpu_s")]
+    seconds = float(np.mean(taken)) if taken else None
+    if seconds is None:
+        model, options = plan.first
+        names = "one_mesh", "linear", "seeds", "increment", "estimate"
+        found = meshes(model, *(options[name] for name in names))
+        seconds = sum(mesh.solves * mesh.seconds for mesh in found) if found else None
+    if seconds is None:
+        return f"{text}; the time is not known: the first model has no tangent at its start"
+    hours = len(jobs) * seconds / 3600
+    source = f"as {len(taken)} that are finished" if taken else "as the first"
+    ends = "" if taken else f" ({hours * LEAST:.2g} to {hours * MOST:.2g})"
+    return f"{text}: about {hours:.2g} processor hours{ends}, {duration(seconds)} a run, {source}"
 
 
 def duration(seconds: float) -> str:

@@ -6,6 +6,7 @@ import sys
 import time
 from datetime import timedelta
 from math import nan
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.live import Live
@@ -14,10 +15,14 @@ from rich.text import Text
 
 from ..solve.increments import Progress
 
+if TYPE_CHECKING:
+    from ..studies import StudyProgress
+
 # A run slows down on its way: in five of the built-in scenes the time left, as shown from a quarter
 # of the travel on, was 0.3 to 4 times what it took if the time grew as its square, 0.1 to 1.1
 # times (0.4 in the mean) if in proportion. What comes after the travel is not in it.
 GROWTH, SHOWN_FROM = 2, 1 / 4
+SELDOM = 5.0  # s between lines of a study in a log
 
 
 def progress(step: Progress) -> None:
@@ -85,6 +90,27 @@ class LiveProgress:
         return _bar(self._step, self._console, since)
 
 
+class StudyBar:
+    """The callback of a study: a bar over its runs, or lines, with the time that is left."""
+
+    def __init__(self) -> None:
+        self._failed, self._shown = 0, -SELDOM
+        self._console = Console(stderr=True)
+
+    def __call__(self, step: StudyProgress) -> None:
+        self._failed += "error" in step.row
+        words = f"{step.done} of {step.total} runs, {_clock(step.elapsed)} elapsed"
+        if step.left:
+            words += f", about {_clock(step.elapsed * step.left / step.solved)} left"
+        words += f", {self._failed} failed" * bool(self._failed)
+        if _draws(self._console):
+            line = _line(words, step.done / step.total, self._console)
+            self._console.print(line, end="\r" if step.left else "\n")
+        elif not step.left or step.elapsed - self._shown >= SELDOM:
+            self._shown = step.elapsed
+            print(words, file=sys.stderr, flush=True)
+
+
 def _draws(console: Console) -> bool:
     """Whether stderr is a terminal on which a line can be drawn over."""
     return console.file.isatty() and not console.is_dumb_terminal
@@ -105,10 +131,14 @@ def _words(step: Progress, since: float = 0.0) -> str:
 
 
 def _bar(step: Progress, console: Console, since: float = 0.0) -> Text:
+    return _line(_words(step, since), step.travel / step.goal, console)
+
+
+def _line(words: str, share: float, console: Console) -> Text:
     """One line as wide as the console: the bar, then the words, cut off where it ends."""
-    words = f" {_words(step, since)}"
+    words = f" {words}"
     width = max(8, min(30, console.width - len(words) - 1))
-    bar = ProgressBar(total=step.goal, completed=step.travel, width=width)
+    bar = ProgressBar(total=1.0, completed=share, width=width)
     line = Text.assemble(*((s.text, s.style or "") for s in console.render(bar)), words)
     line.truncate(console.width - 1, pad=True)
     return line

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from io import StringIO
 from pathlib import Path
@@ -66,6 +67,16 @@ def notes(found: Iterable[str], general: Collection[str] = (), where: str = "") 
     if general:
         lines.append(f"  and {len(general)} notes true of every such export, in {where}")
     return lines
+
+
+def study(columns: Mapping[str, Sequence[Any]]) -> str:
+    """How the runs of a study ended."""
+    counts = Counter(columns["status"])
+    converged = sum(map(bool, columns["converged"]))
+    words = ", ".join(f"{count} {status}" for status, count in counts.items())
+    lines = [f"{len(columns['run'])} runs: {words}; {converged} converged"]
+    reasons = Counter(filter(None, columns["reason"])).most_common(3)
+    return "\n".join([*lines, *(f"  {count} × {reason}" for reason, count in reasons)])
 
 
 def describe(model: Model) -> str:

@@ -31,10 +31,10 @@ class Claim:
     Raises
     ------
     InputError
-        If another run writes to the folder, or it cannot be made.
+        If another run writes to the folder with a lock of that name, or it cannot be made.
     """
 
-    def __init__(self, out: str | Path, *, new: bool = False) -> None:
+    def __init__(self, out: str | Path, *, new: bool = False, lock: str = LOCK) -> None:
         self.folder = folder = Path(out)
         missing = [path for path in (folder, *folder.parents) if not path.exists()]
         with writing_to(folder):
@@ -46,12 +46,12 @@ class Claim:
                 if new:
                     raise FolderExistsError from error
                 raise InputError(f"cannot write to {folder}: it is not a folder") from error
-            lock = FileLock(folder.resolve() / LOCK, is_singleton=True)  # one a process
+            held = FileLock(folder.resolve() / lock, is_singleton=True)  # one a process
             try:
-                lock.acquire(timeout=0)
+                held.acquire(timeout=0)
             except Timeout as error:
                 raise InputError(f"another run writes to {folder}: choose another one") from error
-        self.release = weakref.finalize(self, _free, lock, missing)
+        self.release = weakref.finalize(self, _free, held, missing)
 
 
 class FolderExistsError(Exception):

@@ -303,7 +303,9 @@ _FROM_FILE = Annotated[_FromFile, Tag("surface file")]
 FAR_OFF = FAR / 4  # mm; a straight tool ends at FAR
 
 
-class _Run(Table):
+class Run(Table):
+    """How a scene is solved."""
+
     increment: number("Increment of the travel; chosen by the program if left out", "mm") = OPEN
     accuracy: number("Refine until the error of the shear angle (p99) is below", "deg") = OPEN
     seeds: Annotated[int, Field(ge=1, le=1000, description="Perturbed starts")] = OPEN
@@ -332,7 +334,7 @@ class Scene(Table):
     areas: dict[str, _Area] = {}  # noqa: RUF012
     increments: _Increments = _Increments()
     outputs: _Outputs = _Outputs()
-    run: _Run = OPEN
+    run: Run = OPEN
     files: Annotated[dict[str, str], Field(description="SHA-256 of files, by path")] = OPEN
 
     @model_validator(mode="after")
@@ -394,8 +396,8 @@ def _scene(table: dict[str, Any], folder: Path, stem: str) -> SceneFile:
         **scene.model_dump(include={"travel", "gravity", "symmetry"}),
         **scene.blank,
     )
-    for name, digest in checksums(file.files()).items():
-        if (scene.files or {}).get(name, digest) != digest:
+    for name, digest in (checksums(file.files()) if scene.files else {}).items():
+        if scene.files.get(name, digest) != digest:
             words = "has changed since this scene was written; remove [files] to use it as it is"
             raise InputError(f"{name} {words}")
     return file
@@ -470,9 +472,9 @@ def read_text(written: Mapping[str, str]) -> SceneFile:
     return replace(file, source=written["source"])
 
 
-def json_schema() -> dict[str, Any]:
+def json_schema(file: type[Table] = Scene) -> dict[str, Any]:
     """Return the JSON schema of a scene file: keys, units, limits and defaults, for editors."""
-    schema = Scene.model_json_schema()
+    schema = file.model_json_schema()
     schema["properties"]["format"] = {"enum": [1, FORMAT], "description": "Of the file"}
     return {"$schema": "https://json-schema.org/draft/2020-12/schema"} | schema
 

@@ -1,0 +1,96 @@
+"""The file of a study: what is solved, what is varied, which outputs."""
+
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Field, StrictBool, StrictStr, model_validator
+
+from ..checks import InputError
+from ..scenes.scene_file import Run
+from ..schema import OPEN, checked, number, validated
+from ..toml_file import read_toml, without_format
+from .design import DESIGNS, MOST, SAMPLED, varied
+
+OF_A_SCENE = ("orientation", "travel", "symmetry")
+OF_A_STRIP = ("angle", "length", "width", "displacement")
+RANGE = {"type": "object", "properties": {"from": {}, "to": {}, "mean": {}, "std": {}}}
+Names = Annotated[list[StrictStr], Field(min_length=1)]
+
+
+class Study(Run):
+    """A study: many runs of one case. Lengths in mm, forces in N, angles in degrees.
+
+    Paths are relative to the file. Keys of [set] and [vary] are the dotted names of a scene.
+    """
+
+    name: Annotated[StrictStr, Field(description="By default that of the file")] = OPEN
+    kind: Annotated[Literal["form", "oat"], Field(description="Forming, off-axis tension")] = "form"
+    scene: Annotated[StrictStr, Field(description="Name of a scene, or path of its file")] = OPEN
+    law: Annotated[StrictStr, Field(description="Preset, or path of a material file")] = OPEN
+    size: number("Spacing of the fibre lines, of the whole path", "mm") = OPEN
+    orientation: number("Angle of the warp to x", "deg", signed=True) = OPEN
+    travel: number("Travel of the punch", "mm") = OPEN
+    symmetry: Annotated[Literal["auto", "half", "none"], Field(description="Mirror planes")] = OPEN
+    angle: number("oat: angle between load and warp", "deg", signed=True) = OPEN
+    length: number("oat: free length", "mm") = OPEN
+    width: number("oat: width", "mm") = OPEN
+    displacement: number("oat: displacement of the grip at the end", "mm") = OPEN
+    design: Annotated[Literal[DESIGNS], Field(description="How the values are chosen")] = "grid"
+    runs: Annotated[int, Field(ge=1, le=MOST, description="Runs of lhs and sobol")] = OPEN
+    seed: Annotated[int, Field(ge=0, lt=2**63, description="Of lhs and sobol")] = 0
+    outputs: Annotated[Names, Field(description="Dotted names of numbers in summary.json")]
+    keep: Annotated[StrictBool, Field(description="Keep the folder of every result")] = False
+    fields: Annotated[StrictBool, Field(description="Keep all fields in fields.h5")] = False
+    set: Annotated[dict[str, Any], Field(description="Other values of keys, in every run")] = {}  # noqa: RUF012
+    vary: Annotated[
+        dict[str, checked(varied, anyOf=[{"type": "array"}, RANGE])],
+        Field(min_length=1, description="Values of keys, by run"),
+    ]
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        foreign = OF_A_STRIP if self.kind == "form" else ("scene", *OF_A_SCENE)
+        for key in foreign:
+            if key in self.model_fields_set:
+                raise InputError(f"{key} does not go with kind = '{self.kind}'")
+        if self.design not in SAMPLED and self.runs is not None:
+            words = f"runs = {self.runs} goes with design = 'lhs' or 'sobol', not '{self.design}'"
+            raise InputError(words)
+        if twice := sorted(self.fixed.keys() & self.vary.keys()):
+            raise InputError(f"{twice[0]} is both varied and given")
+        return self
+
+    @property
+    def fixed(self) -> dict[str, Any]:
+        """Values of keys that are the same in every run."""
+        keys = ("law", "size", *OF_A_SCENE, *OF_A_STRIP)
+        given = {key: getattr(self, key) for key in keys if key in self.model_fields_set}
+        return given | self.set
+
+    @property
+    def solving(self) -> dict[str, Any]:
+        """How every run is solved, where the file says so: keys of the table [run] of a scene."""
+        return self.model_dump(include=set(Run.model_fields), exclude_unset=True)
+
+
+def read(source: str | Path | Mapping[str, Any], case: Callable | None) -> tuple[Study, Path]:
+    """Return a study from its file or table, and the folder to which its paths are relative."""
+    if isinstance(source, Mapping):
+        return _study(dict(source), "study", case), Path.cwd()
+    path = Path(source)
+    return read_toml(path, lambda table: _study(table, path.stem, case)), path.absolute().parent
+
+
+def _study(table: dict[str, Any], stem: str, case: Callable | None) -> Study:
+    name = re.sub(r"[^\w.+-]+", "-", stem).lstrip(".-") or "study"
+    study = validated(Study, {"name": name, **without_format(table)})
+    if not re.fullmatch(r"\w[\w.+-]*", study.name):
+        raise InputError(f"name must be that of a folder, got {study.name!r}")
+    if case is None and study.kind == "form" and study.scene is None:
+        raise InputError("scene missing: a built-in one, a .toml file, or kind = 'oat'")
+    if case is not None and (study.scene is not None or study.solving):
+        key = "scene" if study.scene is not None else next(iter(study.solving))
+        raise InputError(f"{key} does not go with a function, which says it itself")
+    return study
