@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from errno import EISDIR
 from importlib import import_module
+from math import floor, log10
 from numbers import Real
 from os import strerror
 from pathlib import Path
@@ -27,6 +28,17 @@ def force_column(travel: str) -> str:
     ('force_N', 'load_work_mJ')
     """
     return "force_N" if travel.endswith("_mm") else "load_work_mJ"
+
+
+def round_length(length: float) -> float:
+    """Return the 1, 2 or 5 times a power of ten that is nearest to a length, by their ratio.
+
+    >>> [round_length(length) for length in (6.4, 0.64, 3.0, 8.0)]
+    [5.0, 0.5, 2.0, 10.0]
+    """
+    power = floor(log10(length))
+    known = [digit * 10.0**power for digit in (1, 2, 5, 10)]
+    return min(known, key=lambda value: abs(log10(value / length)))
 
 
 def number(value: float, digits: int = 4, zero: float = 0.0) -> str:

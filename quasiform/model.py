@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from .checks import force_column
-from .energy.contact import LEVER, Contact, surrounds
+from .energy.contact import Contact, surrounds
 from .energy.friction import Friction
 from .energy.membrane import Membrane
 from .energy.term import Term
@@ -202,7 +202,7 @@ class Model:
             tool = contact.tool
             if not tool.tilts:
                 continue
-            tilt = np.degrees(np.abs(x[contact.tool_dofs[1:]]).max() / LEVER)
+            tilt = np.degrees(np.abs(x[contact.tool_dofs[1:]]).max() / contact.lever)
             if tilt > MOST_TILT:
                 return f"the {tool.name} tilts by more than {MOST_TILT:g} degrees"
             if not surrounds(contact, x):

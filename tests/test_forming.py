@@ -14,7 +14,6 @@ from scipy.spatial import ConvexHull
 import quasiform as qf
 from quasiform.energy import contact as contacts
 from quasiform.energy.bending import Bending
-from quasiform.energy.contact import LEVER
 from quasiform.energy.gripper import Grip
 from quasiform.energy.weight import GRAVITY, SheetWeight, ToolWeight
 from quasiform.net import outline
@@ -92,7 +91,7 @@ def rigid(result, name="blank holder"):
     """Height and tilts (radians) of a tool at the end."""
     contact = next(c for c in result.model.contacts if c.tool.name == name)
     height, *tilts = result.states[-1].x[contact.tool_dofs]
-    return height, np.array(tilts) / LEVER
+    return height, np.array(tilts) / contact.lever
 
 
 # Symmetry
@@ -487,7 +486,7 @@ def test_a_holder_that_loses_the_sheet_ends_the_run():
     holder = next(c for c in scene.contacts if c.tool.motion == "free")
     x[holder.tool_dofs[0]] += 5.0
     assert scene.lost(x) == "the sheet no longer surrounds the weight of the blank holder"
-    x[holder.tool_dofs[2]] = np.radians(10.1) * LEVER
+    x[holder.tool_dofs[2]] = np.radians(10.1) * holder.lever
     assert scene.lost(x) == "the blank holder tilts by more than 10 degrees"
 
 

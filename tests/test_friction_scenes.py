@@ -6,7 +6,7 @@ import pytest
 import quasiform as qf
 from quasiform import theory
 from quasiform.energy.bending import Bending
-from quasiform.energy.contact import BLEND, LEVER, Contact
+from quasiform.energy.contact import BLEND, Contact
 from quasiform.energy.membrane import Membrane
 from quasiform.energy.weight import ToolWeight
 from quasiform.tools.shapes import Plane, flipped
@@ -70,7 +70,7 @@ def test_a_plate_tilts_until_the_pressure_under_it_balances_its_weight(place):
         Contact(sheet, tool, unknowns.add(tool.name, count).dofs)
         for tool, count in ((table, 1), (plate, 3))
     ]
-    p = load / (fabric.compaction * 5000.0) + BLEND / 2
+    p = load / (fabric.compaction * 5000.0) + BLEND * t0 / 2
     flat = np.column_stack([blank.nodes, np.full(n, t0 / 2 - p)])
     x0 = np.append(flat.ravel(), [0.0, t0 - 2 * p, 0.0, 0.0])
     fixed = np.zeros(len(x0), dtype=bool)
@@ -97,7 +97,7 @@ def test_a_plate_tilts_until_the_pressure_under_it_balances_its_weight(place):
     )
     assert result.status == "completed"
     x = result.states[-1].x
-    height, about_x, about_y = x[-3], *x[-2:] / LEVER
+    height, about_x, about_y = x[-3], *x[-2:] / contacts[1].lever
     c = 2 * load / (fabric.compaction * (blank.node_areas @ blank.nodes**2))
     slope = c * place / (1 + c * (t0 / 2 - p))
     # a turn about y lowers the side of positive x, one about x lifts that of positive y

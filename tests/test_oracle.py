@@ -178,7 +178,7 @@ def test_contact(blank, at):
     At the corners the sheet is the averaged one, x = W x_nodes and v = W v_nodes.
     """
     fabric = Fabric()
-    k, e = fabric.compaction, BLEND
+    k, e = fabric.compaction, BLEND * fabric.thickness
     sphere = ball(100.0)
     quadrature, W, sag = CORNERS, averaging(blank), 0.0
     if at is at_edges:

@@ -43,6 +43,7 @@ def test_a_resolved_scene_is_read_back_to_an_equal_scene(tmp_path, name):
     assert again.name == model.name
     first, second = file_of(model), file_of(again)
     same = {"orientation": 45.0, "size": 25.0, "travel": 20.0, "law": model.sheet.fabric}
+    same["increment"] = model.increment
     run = {"increment": 2.5, "one_mesh": True, "linear": "auto", "estimate": True, "draft": False}
     standings = {k: v for k, v in first.standings.items() if k != "travel"}
     assert second == replace(first, **same, run=run, standings=standings)

@@ -296,7 +296,7 @@ def test_wrong_units_are_noticed(size, scale, message):
             2.0,
             r"nowhere near the sheet, it spans \(-20, -20, -20\) mm to",
         ),
-        (ball(8), (-30, -30, -30), 0.01, "grid of .* nodes: set spacing = 0.1. or more"),
+        (ball(8), (-30, -30, -30), 0.01, "grid of .* nodes: set spacing = 0.09. or more"),
         (ball(8), (-30, -30, -30), -1.0, "spacing must be a positive number, got -1"),
         (block(low=(-20, -20, 19.2)), (-30, -30, -30), 2.0, "that a grid of 2 mm cannot show"),
     ],
@@ -670,7 +670,7 @@ def test_the_suggested_turn_puts_an_upside_down_punch_right(tmp_path):
             r"origin = \[200, 0, 0\] puts it over the middle",
         ),
         (
-            "z = 0.0",
+            "z = 3.0",
             r"starts inside the punch: check its z, 21 puts it on the sheet, or set flip = t",
         ),
         ("scale = 0.01", r"0.4 mm across .* beside a sheet of 120 mm"),
@@ -679,6 +679,12 @@ def test_the_suggested_turn_puts_an_upside_down_punch_right(tmp_path):
 def test_a_punch_that_cannot_be_is_refused_with_the_line_that_mends_it(tmp_path, punch, message):
     with pytest.raises(InputError, match=message):
         described(tmp_path, f"spacing = 4.0\n{punch}")
+
+
+def test_a_flat_sheet_deep_inside_a_punch_is_found_however_short_the_travel(tmp_path, monkeypatch):
+    monkeypatch.setitem(globals(), "SCENE", SCENE.replace("travel = 15.0", "travel = 2.0"))
+    with pytest.raises(InputError, match="starts inside the punch: check its z, 21 puts"):
+        described(tmp_path, "spacing = 4.0\nz = 3.0")
 
 
 # ------------------------------------------------------------------------------------------ CAD

@@ -39,13 +39,14 @@ from ..tools.shapes import Distance, Rounded, Tool
 from ..unknowns import FloatArray, IntArray, Sheet
 from .term import Term, frozen, same
 
-BLEND = 0.05  # e, mm
-LEVER = 100.0  # L, mm: tilts are measured by the motion of a point at this distance
+BLEND = 0.05 / 1.004  # e, of the thickness
+LEVER = 1 / 1.55  # L, of the blank's reach from the tool: tilts are the motion of a point there
 LENGTH = 1 / 24  # a that keeps the length of one family of fibres on a curved tool
 MEAN = 1 / 12  # a that puts the net on the tool in the mean
 COARSE = 0.6  # of a tool's smallest radius: a coarser net jumps over it with a = 1/12
 SAG = 1 / 8
-FAR_OFF = 20.0  # mm
+FAR_OFF = 0.2  # of L: beyond it the distance is that of a tool's box
+FLAT_FACE = 5.0  # of the thickness: what is nearer may lie under the flat face of a tool
 
 
 @dataclass(frozen=True)
@@ -233,6 +234,10 @@ class Contact(AtPoints):
         self._axes = np.append(np.tile([0, 1, 2], nodal.shape[1] // 3), 2)
         self.shares = np.column_stack([self.points.weights.reshape(m, -1), np.full(m, -1.0)])
         self._last = _Last()
+        self.blend = BLEND * sheet.fabric.thickness
+        reach = np.abs(sheet.blank.nodes - tool.place).max()
+        self.lever = float(f"{LEVER * reach:.9g}")  # without the round-off of a turned blank
+        self.far_off = FAR_OFF * self.lever
         self.area = self.points.areas
         self.reach = 0.5 * sheet.fabric.thickness - self.points.sag
         self.compaction = sheet.fabric.compaction
@@ -264,7 +269,7 @@ class Contact(AtPoints):
     def _turns(self, x: FloatArray) -> tuple[list[FloatArray], list[FloatArray]]:
         """Rx(a/L)' and Ry(b/L)' (3, 3) with their first and second derivatives by a and b."""
         tilt = x[self.tool_dofs[1:]]
-        return _turn(tilt[0] / LEVER, 1, 2), _turn(tilt[1] / LEVER, 2, 0)
+        return _turn(tilt[0], self.lever, 1, 2), _turn(tilt[1], self.lever, 2, 0)
 
     def relative(self, x: FloatArray) -> FloatArray:
         """(m, 3) positions of the points in the tool's frame, mm."""
@@ -292,7 +297,7 @@ class Contact(AtPoints):
             exact = isinstance(self.tool.shape, Rounded)  # there is no need of its box
             d, n, H = (self.tool.shape.distance if exact else self.distance)(last.y[near])
             boxed = not exact and getattr(self.tool.shape, "box", None) is not None
-            last.acting = self._touching(last, near, d, n, H, FAR_OFF if boxed else np.inf)
+            last.acting = self._touching(last, near, d, n, H, self.far_off if boxed else np.inf)
         return last.acting
 
     def _within_reach(self, last: _Last) -> IntArray:
@@ -311,7 +316,7 @@ class Contact(AtPoints):
     ) -> Acting:
         """What acts on the points `near`, from their distances, which beyond `far` are a box's."""
         if self.kernels:
-            given = last.y, self.reach, self.area, self.compaction, BLEND, far
+            given = last.y, self.reach, self.area, self.compaction, self.blend, far
             found = self.kernels.touching(near, d, n, H, *given, last.centre, last.clear)
             return Acting(*found)
         last.clear[near] = d - np.where(d >= far, far, self.reach[near])
@@ -335,7 +340,7 @@ class Contact(AtPoints):
             return self.tool.shape.distance(y)
         n, H = np.zeros_like(y), np.zeros((len(y), 3, 3))
         d = np.linalg.norm(y - np.clip(y, *box), axis=1)
-        near = d < FAR_OFF
+        near = d < self.far_off
         d[near], n[near], H[near] = self.tool.shape.distance(y[near])
         return d, n, H
 
@@ -400,7 +405,7 @@ class Contact(AtPoints):
 
     def stiffness_bound(self, x: FloatArray) -> FloatArray:
         """(m, n_local) shares of the row sums of the stiffness if every point touched, N/mm."""
-        far = np.linalg.norm(self.arm(x), axis=1)[:, None] / LEVER
+        far = np.linalg.norm(self.arm(x), axis=1)[:, None] / self.lever
         tilts = [far, far] if self.tool.tilts else []
         nodal = np.abs(self.points.weights).reshape(len(far), -1)
         shares = np.column_stack([nodal, np.ones(len(far)), *tilts])
@@ -409,11 +414,11 @@ class Contact(AtPoints):
 
     def depth_under(self, force: float, area: float) -> float:
         """Penetration at which a plate on `area` mm² of sheet carries `force` N (in the blend)."""
-        return float(np.sqrt(2.0 * BLEND * force / (self.compaction * area)))
+        return float(np.sqrt(2.0 * self.blend * force / (self.compaction * area)))
 
     def _law(self, p: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """φ, φ', φ'' of the penetration."""
-        k, e = self.compaction, BLEND
+        k, e = self.compaction, self.blend
         p = np.maximum(p, 0.0)
         blend = p < e
         value = np.where(blend, p * p**2 / (6 * e), p**2 / 2 - e * p / 2 + e**2 / 6)
@@ -422,14 +427,14 @@ class Contact(AtPoints):
         return k * value, k * first, k * second
 
 
-def _turn(angle: float, i: int, j: int) -> list[FloatArray]:
-    """Transposed rotation in the plane of axes i, j; first and second derivative by L times it."""
-    c, s = np.cos(angle), np.sin(angle)
+def _turn(tilt: float, lever: float, i: int, j: int) -> list[FloatArray]:
+    """Transposed rotation by tilt/L in the plane of axes i, j; its derivatives by the tilt."""
+    c, s = np.cos(tilt / lever), np.sin(tilt / lever)
     series = []
     for order, (p, q) in enumerate(((c, s), (-s, c), (-c, -s))):
         R = np.zeros((3, 3))
         R[i, i], R[i, j], R[j, i], R[j, j] = p, q, -q, p
-        R /= LEVER**order
+        R /= lever**order
         if order == 0:
             R[3 - i - j, 3 - i - j] = 1.0
         series.append(R)
@@ -441,7 +446,8 @@ def surrounds(contact: Contact, x: FloatArray) -> bool:
     import shapely
 
     _, d, n, _ = contact.at(x)
-    under = contact.arm(x)[(d < 5.0) & (np.abs(n[:, 2]) > 0.99), :2]
+    near = d < FLAT_FACE * contact.sheet.fabric.thickness
+    under = contact.arm(x)[near & (np.abs(n[:, 2]) > 0.99), :2]
     for axis, plane in enumerate("xy"):
         if plane in contact.sheet.blank.mirror:  # there the modelled part continues
             flip = np.ones(2)

@@ -24,7 +24,7 @@ from ..unknowns import FloatArray, IntArray
 from .contact import Acting, AtPoints, Contact
 from .term import Standing
 
-STICK = 0.1  # stiffness of elastic stick per area, N/mm³
+STICK = 0.01  # stiffness of elastic stick, of the compaction stiffness
 FAST = 1e6  # mm: reach of elastic stick that no sheet comes to
 
 
@@ -48,7 +48,7 @@ class Friction(AtPoints):
     def __init__(self, contact: Contact) -> None:
         self.name = contact.name.replace("contact", "friction")
         self.contact, self.dofs = contact, contact.dofs
-        self.stick = STICK * contact.area
+        self.stick = STICK * contact.compaction * contact.area
         self._last: tuple[FloatArray, Rubbing, Acting] | None = None
 
     def initial(self, x: FloatArray) -> Rubbing:
@@ -104,7 +104,7 @@ class Friction(AtPoints):
             pressure = interpolated(theirs.places, state.limit / theirs.area, self.contact.places)
         touched = pressure > 0
         points, p = self.contact.relative(new.before), self.contact.penetration(new.before)
-        p = np.where(touched, np.maximum(p, 1e-9), np.minimum(p, 0.0))
+        p = np.where(touched, np.maximum(p, 1e-9 * self.contact.blend), np.minimum(p, 0.0))
         anchor = np.where(touched[:, None], points, np.nan)
         limit = pressure * self.contact.area
         return Rubbing(points, p, anchor, anchor, self.contact.normal(new.x), limit)

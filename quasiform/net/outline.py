@@ -24,7 +24,7 @@ from ..tools.surface_file import KINDS, read_with_notes
 from .blank import check_unit
 
 FloatArray = np.ndarray
-CHORD = 0.01  # mm, largest distance of a polygon from the curve it stands for
+CHORD = 3e-5  # of a curve's size: largest distance of its polygon from it
 TINY = 1e-6  # of a hole's area beyond the edge: it only touches
 GAP = 0.05  # mm, ends of lines nearer than this meet
 CURVES = ("LINE", "LWPOLYLINE", "POLYLINE", "ARC", "CIRCLE", "ELLIPSE", "SPLINE")
@@ -41,11 +41,9 @@ def rectangle(
 
 
 def disc(radius: float, centre: tuple[float, float] = (0.0, 0.0)) -> shapely.Polygon:
-    """Disc, mm: a polygon in it, a corner a degree or less. InputError for a bad radius."""
+    """Disc, mm: a polygon in it, a corner a degree. InputError for a bad radius."""
     check_number("radius", radius)
-    # radius (1 - cos(π/n)) < CHORD
-    n = 360 * int(np.ceil(np.pi / 360 * np.sqrt(radius / (2 * CHORD)) + 1e-9))
-    angle = 2 * np.pi * np.arange(n) / n
+    angle = 2 * np.pi * np.arange(360) / 360
     return shapely.Polygon(radius * np.column_stack([np.cos(angle), np.sin(angle)]) + centre)
 
 
@@ -178,7 +176,8 @@ def _drawn(
                 else:
                     used[on] += 1
                     curve = paths.make_path(entity)
-                    points = [p.vec2 for p in curve.flattening(CHORD / scale)]
+                    across = np.ptp([p.vec2 for p in curve.control_vertices()], axis=0).max()
+                    points = [p.vec2 for p in curve.flattening(CHORD * across or 1.0)]
                     lines.append(scale * np.array(points, dtype=float).reshape(-1, 2))
     except Exception as error:  # any that the parser raises
         reason = " ".join(str(error).replace(f"'{path}'", "it").split()) or type(error).__name__

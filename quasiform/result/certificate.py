@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..checks import number
+from ..model import Model
 from .measures import LIFTED, bent_radius, chord_penetration, max_penetration
 from .outcome import Outcome
 from .stability import RESOLVED
@@ -18,7 +19,7 @@ CHORD = 1 / 3  # of the thickness: how far a chord of a fibre may cut into a too
 FINE = 0.5 * 1.02  # of the smallest radius under the sheet, with 2 % for how it is measured
 LOWER = 1e-3  # of the energy: what another state must have less
 WIDE = 0.2  # of a value: a mesh error beyond this limits the trust in it
-SMALL = 0.1  # N, degrees or mm: smaller errors are not reported
+SMALL = {"deg": 0.1, "mm": 0.1, "N": 2e-3}  # degrees, of the thickness, of resting loads: no error
 JUDGED = 0.05, 2.0  # of a value, degrees: a larger mesh error judges no scatter
 SHARE = 0.005  # of the area: less is not reported
 WRINKLED = "wrinkled, one of many states: perturbed starts show what is robust"
@@ -187,10 +188,18 @@ def spoken(quantity: str) -> str:
     return known.get(quantity) or f"the {what.get(kind, kind)} {place}"
 
 
-def small(quantity: str, value: float) -> float:
+def small(model: Model, quantity: str, value: float) -> float:
     """Largest error of the mesh by which the scatter of a quantity is judged, in its unit."""
     share, angle = JUDGED
-    return max(share * abs(value), angle if quantity.endswith("_deg") else SMALL)
+    least = angle if quantity.endswith("_deg") else _not_reported(model, quantity)
+    return max(share * abs(value), least)
+
+
+def _not_reported(model: Model, quantity: str) -> float:
+    """Error of a quantity, in its unit, below which it is not reported."""
+    units = {"deg": 1.0, "mm": model.sheets[0].fabric.thickness, "N": model.resting / model.share}
+    unit = quantity.rpartition("_")[2]
+    return SMALL.get(unit, 0.0) * units.get(unit, 0.0)
 
 
 def trust(result: Outcome) -> list[str]:
@@ -207,7 +216,8 @@ def trust(result: Outcome) -> list[str]:
     errors = {
         name: (error, value)
         for name, value in result.quantities.items()
-        if (error := result.estimate.get(name)) and error > max(WIDE * abs(value), SMALL)
+        if (error := result.estimate.get(name))
+        and error > max(WIDE * abs(value), _not_reported(result.model, name))
     }
     for name in sorted(errors, key=lambda name: -errors[name][0] / max(abs(errors[name][1]), 1e-9)):
         error, value = errors[name]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..energy.bending import Bending
-from ..energy.contact import LEVER, moment
+from ..energy.contact import moment
 from ..model import COLLAPSE, Model
 from ..net.blank import Blank
 from .sheet import DOUBTS, FormedSheet
@@ -222,7 +222,8 @@ def resting_tools(
             continue
         entry = found.setdefault(tool.name, {"lift_mm": float(x[dofs[0]] - start[dofs[0]])})
         if tool.tilts:
-            entry["tilt_deg"] = np.degrees(model.sheet.to_user(x[dofs[1:]]) / LEVER).tolist()
+            tilt = model.sheet.to_user(x[dofs[1:]]) / contact.lever
+            entry["tilt_deg"] = np.degrees(tilt).tolist()
             continue
         turning = moment(contact, x) / model.share
         for axis, plane in enumerate("xy"):

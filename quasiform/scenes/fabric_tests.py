@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import shapely
 
-from ..checks import InputError, check_number
+from ..checks import InputError, check_number, round_length
 from ..energy.bending import Bending, PatchBending
 from ..energy.membrane import Membrane, membrane_of
 from ..energy.softening import bending_terms
@@ -118,6 +118,7 @@ def strip_under_tension(
         sheet,
         terms,
         fixed=left | right,
+        step=length / 60,
         drive=drive,
         travel=float(given["displacement"]),
         parameters={**identity, **numbers, "size": size, "mesh": str(mesh)},
@@ -140,11 +141,20 @@ def strip_under_tension(
 
 
 def _plane(
-    name: str, unknowns: Unknowns, sheet: Sheet, terms: list[Term], fixed: np.ndarray, **given: Any
+    name: str,
+    unknowns: Unknowns,
+    sheet: Sheet,
+    terms: list[Term],
+    fixed: np.ndarray,
+    step: float,
+    **given: Any,
 ) -> Model:
-    """Model of a plane test whose sheet is flat, with `fixed` (n_nodes,) bool nodes."""
+    """Model of a plane test whose sheet is flat, with `fixed` (n_nodes,) bool nodes.
+
+    Increments and rows are the round length nearest to `step`, mm.
+    """
     x0, fixed = sheet.blank.nodes.ravel().copy(), np.repeat(fixed, 2)
-    given |= {"increment": 5.0, "rows": 5.0}
+    given |= dict.fromkeys(("increment", "rows"), round_length(step))
     return Model(name, unknowns, [sheet], terms, x0, fixed, **given)
 
 
@@ -243,6 +253,7 @@ def sheet_in_frame(
         sheet,
         [Membrane(sheet)],
         fixed=rim,
+        step=side / 20,
         drive=frame,
         travel=2.0 * side * cos(np.pi / 4 - gamma / 2) - np.sqrt(2.0) * side,
         parameters={"side": side, "shear": shear, "law": fabric.name, "size": size},

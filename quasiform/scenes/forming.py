@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import shapely
 
-from ..checks import InputError, check_number
+from ..checks import InputError, check_number, round_length
 from ..energy.bending import Bending, PatchBending
 from ..energy.contact import Contact, at_edges, surrounds
 from ..energy.friction import Friction
@@ -38,10 +38,10 @@ from . import scene_file
 from .blank_file import blank_from_file
 from .mechanics import check_mechanics
 from .room import check_clearance, mirror_planes, smallest_radius, what_resolves
-from .scene_file import SceneFile, SurfaceFile, ToolPart
+from .scene_file import SceneFile, SurfaceFile, ToolPart, check_increments
 from .supports import fix_supports, grips, keep_middle
 
-SIZE, LEAST = 5.0, 2.5  # mm, the default, and how fine it may be for the sake of a fillet
+LEAST = 0.5  # of the default size: how fine it may be for the sake of a fillet
 FINE = 0.4  # of the smallest fillet: the mesh of the path
 FACTOR = "load factor of the weight"
 
@@ -67,8 +67,8 @@ def forming(
         Angle of the warp to x, degrees; outline and tools stay.
     law : str or Fabric, optional
     size : float, optional
-        Spacing of the fibre lines, mm; by default that of the file, or 5, or finer (to 2.5) where
-        the path needs it: 0.4 of the smallest fillet.
+        Spacing of the fibre lines, mm; by default that of the file, or near 1/60 of the blank (5 on
+        310 mm), or finer (to the half) where the path needs it: 0.4 of the smallest fillet.
     travel : float, optional
         Travel of the punch from first touch, mm; at most the file's own.
     symmetry : "auto", "half" or "none", optional
@@ -100,7 +100,8 @@ def forming(
         file = replace(file, law=str(Path(law).absolute()) if law.endswith(".toml") else law)
     fabric = fabric_of(file.law if law is None else law)
     size = file.size if size is None else size
-    check_number("size", SIZE if size is None else size)
+    if size is not None:
+        check_number("size", size)
     orientation = file.orientation if orientation is None else orientation
     if not isinstance(orientation, Real) or not np.isfinite(orientation):
         raise InputError(f"orientation must be a number of degrees, got {orientation!r}")
@@ -116,9 +117,10 @@ def forming(
         )
     given = {"orientation": float(orientation), "travel": goal, "symmetry": symmetry}
     given |= {"file": file, "name": name, "fabric": fabric}
-    model = built(formed_between_tools, SIZE if size is None else size, **given)
-    if size is None and 0 < model.coarsest < SIZE and not isinstance(file.mesh, Path):
-        size = fitting(max(model.coarsest, LEAST), file.outline)
+    usual = size or usual_length(file.outline if file.blank else _own_outline(file))
+    model = built(formed_between_tools, usual, **given)
+    if size is None and 0 < model.coarsest < usual and file.blank:
+        size = fitting(max(model.coarsest, LEAST * usual), file.outline)
         model = replace(model.recipe, size=size).build(like=model)
     return model
 
@@ -127,6 +129,15 @@ def fitting(size: float, outline: shapely.Polygon) -> float:
     """Return the spacing next to `size` that fits half of the shorter side of an outline, mm."""
     half = 0.5 * float(np.ptp(np.reshape(outline.bounds, (2, 2)), axis=0).min())
     return half / max(round(half / size), 1)
+
+
+def usual_length(outline: shapely.Polygon) -> float:
+    """Default size and increment, mm: a round length near 1/60 of the blank's shorter side."""
+    return round_length(float(np.ptp(np.reshape(outline.bounds, (2, 2)), axis=0).min()) / 60)
+
+
+def _own_outline(file: SceneFile) -> shapely.Polygon:
+    return free_mesh.outline_of(free_mesh.own_mesh(file.mesh, scale=file.mesh_scale))
 
 
 def formed_between_tools(
@@ -143,6 +154,9 @@ def formed_between_tools(
     low_x, low_y, high_x, high_y = outline.bounds
     if not own and size > (largest := min(high_x - low_x, high_y - low_y) / 8):
         raise InputError(f"size must not exceed an eighth of the blank, {largest:g}, got {size:g}")
+    usual = usual_length(outline)
+    increments = {"largest": file.increment or usual, "rows": file.rows or usual}
+    check_increments(travel, **increments)
     tools, from_files = like.tools if like else _tools(file, fabric, outline)
     for read in from_files.values():
         description += read.description(tools, outline, travel)
@@ -172,8 +186,8 @@ def formed_between_tools(
         fixed=fixed,
         drive=drive,
         travel=travel,
-        increment=file.increment,
-        rows=file.rows,
+        increment=increments["largest"],
+        rows=increments["rows"],
         travel_name="travel_mm",
         share=0.5 ** len(blank.mirror),
         description=description,
@@ -296,7 +310,7 @@ def _rest(model: Model, contacts: Sequence[Contact]) -> list[Term]:
             if plane in sheet.blank.mirror and tool.tilts:  # only the turn in that plane remains
                 fixed[dof + 2 - axis] = True
         x0[heights] = tool.height - 0.5 * t0
-        under = contact.penetration(x0) > -1e-6
+        under = contact.penetration(x0) > -1e-6 * t0
         if not under.any():
             raise InputError(f"the blank does not reach under the {tool.name}")
         if tool.tilts and not surrounds(contact, x0):

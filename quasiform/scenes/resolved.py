@@ -26,6 +26,7 @@ def resolved(model: Model, run: Mapping[str, Any]) -> str:
     run = {"linear": "auto", "estimate": True, "draft": False, **run, **file.run}
     run = {key: value for key, value in run.items() if value is not None}
     same |= {"size": float(model.recipe.size), "law": given["fabric"], "run": run}
+    same |= {"increment": model.increment, "rows": model.rows}
     names = {"travel": "travel", "orientation": "blank.orientation", "size": "blank.size"}
     other = {name for key, name in names.items() if getattr(file, key) != same[key]}
     same["standings"] = {k: v for k, v in file.standings.items() if k not in other}

@@ -289,8 +289,8 @@ class _Area(Table):
 
 
 class _Increments(Table):
-    largest: number("Largest increment of the travel", "mm") = 5.0
-    rows: number("Distance of the rows of history.csv", "mm") = 5.0
+    largest: number("Largest increment of the travel; else near 1/60 of the blank", "mm") = OPEN
+    rows: number("Distance of the rows of history.csv; as `largest`", "mm") = OPEN
 
 
 class _Outputs(Table):
@@ -339,13 +339,18 @@ class Scene(Table):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        for key, value in self.increments:
-            if self.travel > MOST_ROWS * value:
-                least = f"1/{MOST_ROWS} of the travel, {self.travel / MOST_ROWS:g} mm"
-                raise InputError(f"increments.{key} must be at least {least}, got {value:g}")
+        check_increments(self.travel, **self.increments.model_dump())
         if not any(tool.motion == "driven" for tool in self.tools.values()):
             raise InputError("no tool is driven: one of [tools] needs role = 'punch'")
         return self
+
+
+def check_increments(travel: float, **increments: float | None) -> None:
+    """Refuse (InputError) a travel that has too many increments or rows, mm."""
+    for key, value in increments.items():
+        if value is not None and travel > MOST_ROWS * value:
+            least = f"1/{MOST_ROWS} of the travel, {travel / MOST_ROWS:g} mm"
+            raise InputError(f"increments.{key} must be at least {least}, got {value:g}")
 
 
 NOT_POSSIBLE = {  # keys that people try: what is possible instead
@@ -485,13 +490,14 @@ def scene_toml(file: SceneFile) -> str:
     blank |= {"orientation": file.orientation, "size": file.size, "mesh": file.mesh}
     tools = {"holder" if t.name == "blank holder" else t.name: _tool_table(t) for t in file.tools}
     settings = ("name", "travel", "law", "gravity", "symmetry")
+    given = {"largest": file.increment, "rows": file.rows}
     table = {key: getattr(file, key) for key in settings} | {
         "blank": blank,
         "tools": tools,
         "supports": [_edge_table(support) for support in file.supports],
         "grippers": [_edge_table(gripper) for gripper in file.grippers],
         "areas": {name: {"centre": c, "radius": r} for name, (c, r) in file.areas.items()},
-        "increments": {"largest": file.increment, "rows": file.rows},
+        **({"increments": given} if any(given.values()) else {}),
         "outputs": dict(file.outputs),
     }
     if file.run:

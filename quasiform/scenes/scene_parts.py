@@ -70,12 +70,13 @@ class Where:
         """(n,) bool array: which points (n, 2) lie in it; `bounds` are those of the blank."""
         if self.box:
             low, high = np.array(self.box[:2]), np.array(self.box[2:])
-            return ((points >= low - 1e-6) & (points <= high + 1e-6)).all(1)
+            near = 1e-6 * max(np.subtract(bounds[2:], bounds[:2]))
+            return ((points >= low - near) & (points <= high + near)).all(1)
         if self.side:
             axis = "xy".index(self.side[1])
             edge = bounds[axis + 2 * (self.side[0] == "+")]
             return np.abs(points[:, axis] - edge) < 1e-6 * (bounds[2] - bounds[0])
-        return np.linalg.norm(points - self.centre, axis=1) <= self.radius
+        return np.linalg.norm(points - self.centre, axis=1) <= self.radius * (1 + 1e-9)
 
 
 @dataclass(frozen=True)
@@ -118,8 +119,8 @@ class SceneFile:
     grippers: tuple[Gripper, ...] = ()
     areas: Mapping[str, tuple[Point, float]] = field(default_factory=dict, hash=False)  # discs, mm
     symmetry: str = "auto"  # or "none"
-    increment: float = 5.0  # largest increment of the travel, mm
-    rows: float = 5.0  # distance of the rows of the history, mm
+    increment: float | None = None  # largest increment of the travel, mm; None: `usual_length`
+    rows: float | None = None  # distance of the rows of the history, mm
     outputs: Mapping[str, bool] = field(
         default_factory=lambda: {"pictures": True, "increments": True}, hash=False
     )

@@ -25,7 +25,6 @@ from .linear import NotConvergedError
 from .run import Run, Settings
 
 MOST = 100  # Newton iterations of one solve
-CARRIED = 5.0  # mm: length of the last increment that friction starts from, at least a row
 LAST = 1 / 16  # of an increment, followed on the other mesh
 
 
@@ -40,7 +39,8 @@ def carry(source: Result, model: Model, settings: Settings, saddles: bool = True
     run, end = Run(equations, settings), source.states[-1].travel
     if not saddles:
         run.tries = 0
-    rows = [s for s in path.states if s.travel <= end - CARRIED * (1 - 1e-9)]
+    # friction starts from the last increment, at least a row
+    rows = [s for s in path.states if s.travel <= end - model.increment * (1 - 1e-9)]
     row = (rows or path.states)[-1 if rows else 0]
     start, last = _start(model, path), source.last
     last = path.states[-1].x - row.x if last is None else last

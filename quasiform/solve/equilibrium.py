@@ -17,7 +17,6 @@ from ..unknowns import FloatArray
 from .linear import NotConvergedError, SlidesOffError
 from .tangent import Tangent
 
-LEAST_FORCE = 1e-6  # N: what a driving force counts for where a tool has not touched yet
 ROUND_OFF = 0.2  # of eps times stiffness, thickness and size: a node's force of round-off
 HOLDING = 0.1  # of the tolerance where friction holds a dead load
 LEFT_OVER = 2e-2  # residual that lagged values may leave to the next increment
@@ -51,7 +50,9 @@ class Equilibrium:
         self.tangent = Tangent(self.potential, places, self.linear, self.convex, held)
         self.mixed = [(i, name) for i, term in enumerate(model.terms) for name in term.mixed]
         self.mesh_size = min(sheet.blank.size for sheet in model.sheets)
-        self.least_force = max(LEAST_FORCE, round_off(model) / self.tolerance)
+        self.least_force = round_off(model) / self.tolerance
+        thickness = max(sheet.fabric.thickness for sheet in model.sheets)
+        self.least_energy = (model.resting + self.least_force) * thickness
 
     @property
     def remembers(self) -> bool:

@@ -118,7 +118,7 @@ def _line_search(
         d, slope = -d, -slope
     if not np.isfinite(slope) or slope >= 0:
         raise NotConvergedError("Newton's direction is no descent direction")
-    floor = 1e-12 * (abs(highest) + equations.model.resting + 1e-6)
+    floor = 1e-12 * (abs(highest) + equations.least_energy)
     longest = equations.model.unknowns.longest(d)
     alpha = min(1.0, 3.0 * equations.mesh_size / max(longest, 1e-300))
     for _ in range(40):

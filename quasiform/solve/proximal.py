@@ -22,7 +22,7 @@ from .equilibrium import Equilibrium
 from .linear import NotConvergedError
 from .newton import minimise
 
-FIRST, LEAST, MOST = 1e-2, 1e-6, 10.0  # m, N/mm³; the stick of friction is 0.1
+FIRST, LEAST, MOST = 1e-3, 1e-7, 1.0  # m, of the compaction stiffness; friction's stick is 0.01
 STEPS = 60
 ITERATIONS = 40  # of Newton's method in one step
 ENOUGH = 1e-2  # forces of the bed, relative to the driving force
@@ -52,15 +52,16 @@ def creep(equilibrium: Equilibrium, x: FloatArray) -> tuple[FloatArray, float]:
 
     Raises NotConvergedError where the bed does not fade within `STEPS`, or no m is large enough.
     """
-    bed = Bed(equilibrium.model.unknowns.areas())
-    bed.m, work, force = FIRST, 0.0, np.inf
+    bed, model = Bed(equilibrium.model.unknowns.areas()), equilibrium.model
+    k = max(sheet.fabric.compaction for sheet in model.sheets)
+    bed.m, work, force = FIRST * k, 0.0, np.inf
     with equilibrium.with_term(bed):
         for _ in range(STEPS):
             bed.anchor = x
             try:
                 x = minimise(equilibrium, x, ENOUGH, ITERATIONS)
             except NotConvergedError:
-                if bed.m >= MOST:
+                if bed.m >= MOST * k:
                     raise
                 bed.m *= 10.0
                 continue
@@ -68,9 +69,9 @@ def creep(equilibrium: Equilibrium, x: FloatArray) -> tuple[FloatArray, float]:
             work += float(push @ (x - bed.anchor))
             force = equilibrium.residual(push, driven=equilibrium.gradient(x))
             equilibrium.refresh(x)
-            if force < ENOUGH and bed.m <= 1e-2 * FIRST:
+            if force < ENOUGH and bed.m <= 1e-2 * FIRST * k:
                 return x, work
-            bed.m = max(bed.m / 3.0, LEAST)
+            bed.m = max(bed.m / 3.0, LEAST * k)
     raise NotConvergedError(
         f"proximal steps: forces of {force:.1e} of the driving force left after {STEPS}"
     )

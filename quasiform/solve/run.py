@@ -221,7 +221,7 @@ class Run:
         """Add the perturbation; each increment has its own noise."""
         if not self.settings.perturbation:
             return x
-        seeds = [self.settings.seed, round(1e6 * self.equations.travel)]
+        seeds = [self.settings.seed, round(5e6 * self.equations.travel / self.model.rows)]
         noise = np.random.default_rng(seeds).normal(size=len(x))
         loose = self.equations.free & self.model.unknowns.at_nodes()
         shaken = x + self.settings.perturbation * np.where(loose, noise, 0.0)

@@ -15,13 +15,13 @@ from ..result.run import Result
 from .increments import Callback, follow, report
 from .run import Settings
 
-AMPLITUDE = 0.01  # mm
+AMPLITUDE = 0.01 / 1.004  # of the thickness
 
 
 def spread(
     result: Result,
     seeds: Sequence[int] = (1, 2, 3),
-    amplitude: float = AMPLITUDE,
+    amplitude: float | None = None,
     callback: Callback | None = None,
 ) -> dict[str, dict[str, float | bool]]:
     """Solve a model again from perturbed starts, and keep the scatter in the result.
@@ -34,8 +34,8 @@ def spread(
         Its `spread` and `lower` are set.
     seeds : sequence of int
         One more run each.
-    amplitude : float
-        Standard deviation of the noise on the nodes, mm.
+    amplitude : float, optional
+        Standard deviation of the noise on the nodes, mm; by default 1 % of the thickness.
     callback : callable, optional
         Its methods `stage` and `step` are called as in `solve`.
 
@@ -44,9 +44,12 @@ def spread(
     dict by quantity
         `low` and `high` over all runs, the unperturbed one too; `stopped`, how many did not reach
         the end and are left out; `judged`: whether the estimated error of the mesh is small (5 % of
-        the value, 2 degrees, or 0.1 N or mm); and `robust`: judged, and half the range is within
-        this error (within 1 % where there is no estimate).
+        the value, 2 degrees, 0.1 of the thickness, or 0.2 % of the loads that rest on the sheet);
+        and `robust`: judged, and half the range is within this error (within 1 % where there is no
+        estimate).
     """
+    if amplitude is None:
+        amplitude = AMPLITUDE * result.model.sheets[0].fabric.thickness
     check_number("amplitude", amplitude)
     base = result.path or result
     known = {"increment", "method", "linear", "tolerance", "convex"}
@@ -65,7 +68,7 @@ def spread(
         low, high = min(values), max(values)
         error = result.estimate.get(name)
         allowed = 0.01 * max(abs(low), abs(high)) if error is None else error
-        judged = allowed <= small(name, result.quantities.get(name, high))
+        judged = allowed <= small(result.model, name, result.quantities.get(name, high))
         table[name] = {
             "low": low,
             "high": high,

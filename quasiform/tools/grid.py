@@ -35,14 +35,15 @@ from .surface_file import SurfaceFile
 
 FloatArray = np.ndarray
 
-SPACING = 2.0  # mm
+SPACING, FINEST = 2.0, 1 / 80  # mm; of the sheet, for small ones
 AT_RIM = 1e-6  # of the surface's size: feet nearer to the rim lie on it
 UNITS = {"mm": 1.0, "inches": 25.4, "metres": 1e3, "centimetres": 10.0, "micrometres": 1e-3}
 REMEDY = "export it anew as one watertight body, or mend it in CAD, MeshLab or Blender"
 SMALL = 0.1  # of the blank: a smaller tool may be in another unit
 LOST = 0.4  # of a normal's length along n: walls and gaps thinner than a cell
 BAND = 8.0  # cells of each level next to the surface whose nodes get exact distances
-MARGIN = 5  # cells (and 10 mm) of grid around the tool
+MARGIN = 5  # cells of grid around the tool, and
+BESIDE = 1 / 31  # of the sheet
 PAD = 5  # cells beyond the box: the spline's end conditions have died out there (0.27 a cell)
 MOST_NODES = 1e8
 CHUNK = 1024  # points whose coefficients stay in the cache
@@ -148,7 +149,7 @@ def surface_grid(
     h = check_number("spacing", SPACING if spacing is None else spacing)
     reach = float(np.ptp([low, high], axis=0).max()) if reach is None else reach
     notes = check_surface(vertices, triangles, low, high, reach, scale, flip)
-    margin = max(10.0, MARGIN * h)
+    margin = max(BESIDE * reach, MARGIN * h)
     low = np.maximum(low, vertices.min(0) - margin)
     high = np.minimum(high, vertices.max(0) + margin)
     if (low >= high).any():

@@ -142,20 +142,23 @@ def read(part: ToolPart, outline: shapely.Polygon, travel: float, thickness: flo
     """
     file = part.shape
     reach = np.full(2, 1.1 * max(np.abs(outline.bounds)))
+    across = float(np.ptp(np.reshape(outline.bounds, (2, 2)), axis=0).max())
+    margin = surface.BESIDE * across
+    spacing = file.spacing or min(surface.SPACING, surface.FINEST * across)
     vertices, triangles, repairs = file.placed()
     bottom, top = float(vertices[:, 2].min()), float(vertices[:, 2].max())
     # the sheet is between the punch's lowest point and the die's face
-    deep, margin = travel + 4 * thickness, 10.0
+    deep = travel + 4 * thickness
     face = top if part.role == "die" else bottom
     below, above = (0.0, deep) if part.role == "punch" else (deep, 0.0)
-    low = np.append(-reach - part.place, face - below - margin)
-    high = np.append(reach - part.place, face + above + margin)
-    across = float(np.ptp(np.reshape(outline.bounds, (2, 2)), axis=0).max())
+    flat = face if part.z is None else -part.z  # where the flat sheet is, also in a tool
+    low = np.append(-reach - part.place, min(face - below - margin, flat - 2 * thickness))
+    high = np.append(reach - part.place, max(face + above + margin, flat + 2 * thickness))
     with naming(file.path):
         surface.check_size(np.ptp(vertices, axis=0).max(), across, file.scale)
         plan, sheet = vertices[:, :2] + part.place, np.reshape(outline.bounds, (2, 2))
         tool = np.stack([plan.min(0), plan.max(0)])
-        beside = max(10.0, surface.MARGIN * (file.spacing or surface.SPACING))
+        beside = max(margin, surface.MARGIN * spacing)
         if (tool[0] - beside >= reach).any() or (tool[1] + beside <= -reach).any():
             words = "x {:.4g} to {:.4g}, y {:.4g} to {:.4g} mm"
             at, there = (words.format(*box.T.ravel()) for box in (tool, sheet))
@@ -165,7 +168,7 @@ def read(part: ToolPart, outline: shapely.Polygon, travel: float, thickness: flo
                 f"{moved} puts it over the middle of the sheet"
             )
         grid = surface.surface_grid(
-            vertices, triangles, low, high, file.spacing, across, file.scale, file.flip
+            vertices, triangles, low, high, spacing, across, file.scale, file.flip
         )
         grid = replace(grid, coefficients=grid.coefficients + file.offset)
     warnings = _orientation_warnings(vertices, triangles, part.role, file)
