@@ -52,6 +52,8 @@ class Model:
     resting : float
         Load that keeps the model together (holder weight of the modelled share), N: residuals are
         relative to 2 % of it while the driving force is smaller.
+    loads : dict of number in x to (n, 2) array
+        Prescribed loads, N, over the travel, mm: rows, linear in between, constant beyond.
     dead_load : float
         Whole load, N, to which residuals are relative where the travel is its factor.
     description : list of (entry, reason)
@@ -92,6 +94,7 @@ class Model:
     travel_name: str = "displacement_mm"
     share: float = 1.0
     resting: float = 0.0
+    loads: dict[int, FloatArray] = field(default_factory=dict)
     dead_load: float = 0.0
     description: list[tuple[str, str]] = field(default_factory=list)
     parameters: dict[str, Any] = field(default_factory=dict)
@@ -175,9 +178,11 @@ class Model:
 
     def prescribed(self, travel: float) -> tuple[FloatArray, FloatArray]:
         """Positions of the prescribed unknowns at a travel, and their rate; (n_dofs,)."""
-        if callable(self.drive):
-            return self.drive(travel)
-        return self.x0 + travel * self.drive, self.drive
+        drive = self.drive
+        x, rate = drive(travel) if callable(drive) else (self.x0 + travel * drive, drive)
+        for dof, rows in self.loads.items():
+            x[dof] = np.interp(travel, *rows.T)
+        return x, rate
 
     def collapsed(self, x: FloatArray, travel: float) -> dict[str, Any] | None:
         """Where triangles are sheared beyond 85 degrees or turned over at a travel, mm, or None."""

@@ -5,6 +5,7 @@ Import this module where a file is read, not with the package: pydantic takes a 
 
 import re
 from collections.abc import Callable, Iterable, Mapping
+from itertools import pairwise
 from pathlib import Path
 from types import NoneType
 from typing import Annotated, Any, TypeVar
@@ -127,14 +128,31 @@ def checked(check: Callable[[Any], Any], **schema: Any) -> Any:
 
 
 def number(
-    text: str, unit: str, *, zero: bool = False, signed: bool = False, most: float = LARGEST
+    text: str,
+    unit: str,
+    *,
+    zero: bool = False,
+    signed: bool = False,
+    most: float = LARGEST,
+    over: str = "",
 ) -> Any:
-    """Type of a key with a number in `unit`, or with `{ value, unit, standing }`."""
+    """Type of a key with a number in `unit`, or with `{ value, unit, standing }`.
 
-    def check(value: Any) -> float:
+    With `over`, the unit of a travel, also with a list of rows [travel, number].
+    """
+
+    def check(value: Any) -> float | tuple[tuple[float, float], ...]:
         if isinstance(value, Mapping):
             check_standing(value, unit, "value", "unit", "standing")
             value = value.get("value")
+        if over and isinstance(value, list):
+            rows = [row for row in value if isinstance(row, list) and len(row) == 2]
+            travels = [row[0] for row in rows if type(row[0]) in (int, float) and row[0] >= 0]
+            rising = all(a < b for a, b in pairwise([*travels, LARGEST]))
+            if not (rising and len(travels) == len(value) > 1):
+                expected = f"two rows or more, [travel in {over}, {unit}], of rising travel from 0"
+                raise InputError(f"= {value!r}: expected {expected}")
+            return tuple((float(s), check(y)) for s, y in value)
         if signed:
             if type(value) not in (int, float) or not abs(value) <= most:
                 raise InputError(f"must be a number of up to {most:g}, got {value!r}")
@@ -147,6 +165,9 @@ def number(
     keys = {"value": plain, "unit": {"const": unit}, "standing": {"enum": list(STANDINGS)}}
     table = {"type": "object", "properties": keys, "additionalProperties": False}
     both = [plain, table | {"required": ["value", "standing"]}]
+    if over:
+        row = {"type": "array", "prefixItems": [{"type": "number", "minimum": 0}, plain]}
+        both.append({"type": "array", "items": row, "minItems": 2})
     return checked(check, anyOf=both, description=text if unit == "1" else f"{text}; {unit}")
 
 

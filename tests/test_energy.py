@@ -30,7 +30,7 @@ from quasiform.energy.gripper import Grip
 from quasiform.energy.membrane import Membrane, PairedMembrane
 from quasiform.energy.softening import Softening
 from quasiform.energy.term import Term, compiled
-from quasiform.energy.weight import GRAVITY, SheetWeight, ToolWeight
+from quasiform.energy.weight import GRAVITY, SheetWeight, ToolForce, ToolWeight
 from quasiform.fabric import Fabric, MomentCurve, ThreeStageLaw
 from quasiform.net.blank import rectangle, rotation
 from quasiform.potential import Potential
@@ -290,6 +290,10 @@ def tool_weight():
     return Case(ToolWeight(2.5, 1), np.array([0.0, 12.0]))
 
 
+def tool_force():
+    return Case(ToolForce(1, 2, 3.0, "force"), np.array([0.0, 12.0, 40.0]), prescribed=1)
+
+
 FREE = {
     "membrane in the plane": lambda: membrane("aligned", 2),
     "membrane in the plane, cut": lambda: membrane("cut", 2),
@@ -328,6 +332,7 @@ HELD = {
     "softening, clamped": lambda: softening("aligned", clamp=True),
     "bending alike in every direction, clamped": lambda: bending("aligned", True, ROUND),
     "weight of the sheet": sheet_weight,
+    "force on a tool": tool_force,
     "weight of a tool": tool_weight,
     "gripper": gripper,
 }

@@ -467,6 +467,29 @@ def test_weight_and_force_of_a_holder_add_up_in_every_part():
     assert result.history["holder_force_N"] == pytest.approx(whole, rel=1e-3)
 
 
+@pytest.mark.parametrize("symmetry", ["auto", "none"])
+def test_the_force_on_a_holder_may_change_over_the_travel(symmetry):
+    """Linear between its rows, constant beyond; its work is in the energy balance."""
+    rows = [[0.0, 0.0], [10.0, 2000.0], [15.0, 500.0]]
+    changes = {"tools.holder.force": rows, "increments.largest": 1.0, "increments.rows": 1.0}
+    scene = qf.forming(size=38, travel=20.0, symmetry=symmetry, overrides=changes)
+    result = qf.solve(scene, estimate=False)
+    assert result.status == "completed"
+    travel = result.history["travel_mm"]
+    expected = 5.0e3 * GRAVITY + np.interp(travel, *np.transpose(rows))
+    assert_allclose(result.history["holder_force_N"], expected, rtol=1e-3)
+    assert result.energy_balance < 0.01
+    assert result.snaps == []
+    assert "2000 N at 10 mm" in words_of(scene)
+
+
+def test_a_changing_force_is_carried_to_another_mesh():
+    changes = {"tools.holder.force": [[0.0, 10.0], [4.0, 300.0]], "tools.holder.mass": 0.0}
+    result = qf.solve(qf.forming(size=15, travel=4.0, overrides=changes))
+    assert result.estimate["force_N"] is not None
+    assert result.history["holder_force_N"] == pytest.approx([10.0, 300.0], rel=1e-3)
+
+
 def test_the_sheet_starts_in_balance_with_the_holder():
     for scene in (qf.forming(size=20), qf.forming("tetrahedron", size=20)):
         g = np.zeros(len(scene.x0))

@@ -434,6 +434,37 @@ def test_a_scene_that_is_written_reads_the_same(name):
     assert tomllib.loads(text)["outputs"].keys() == {"pictures", "increments"}  # defaults too
 
 
+def test_a_force_over_the_travel_is_read_and_written():
+    text = BASE.replace("mass = 5.0", "mass = 5.0\nforce = [[0, 10], [20.5, 30]]")
+    scene = read(text)
+    assert scene.tools[2].force == ((0.0, 10.0), (20.5, 30.0))
+    assert read(scene_toml(scene), "again.toml") == scene
+    assert hash(scene)
+
+
+@pytest.mark.parametrize(
+    ("force", "message"),
+    [
+        ("[]", "expected two rows or more"),
+        ("[[0, 10]]", "expected two rows or more"),
+        ("[[5, 10], [5, 20]]", "of rising travel from 0"),
+        ("[[-1, 10], [5, 20]]", "of rising travel from 0"),
+        ("[[0, 10], [nan, 20]]", "of rising travel from 0"),
+        ("[[0, 10], [true, 20]]", "of rising travel from 0"),
+        ("[[0, 10, 3], [1, 2, 3]]", r"\[travel in mm, N\]"),
+        ("[0, 10]", r"\[travel in mm, N\]"),
+        ("[[0, 10], [5, -1]]", "force must be a number of at least zero, got -1"),
+        ("[[0, 10], [5, inf]]", "force must be a number of at least zero, got inf"),
+        ("[[0, 10], [5, 0]]\nmass = 0", "needs a mass or a force, over the whole travel"),
+    ],
+)
+def test_a_force_over_the_travel_that_cannot_be_is_refused(force, message):
+    text = BASE.replace("mass = 5.0", f"mass = 5.0\nforce = {force}")
+    text = text.replace("mass = 5.0\n", "") if "mass = 0" in force else text
+    with pytest.raises(InputError, match=message):
+        read(text)
+
+
 def test_a_scene_is_plain_data():
     scene = read(FULL)
     copy = pickle.loads(pickle.dumps(scene))

@@ -1,13 +1,19 @@
-"""Dead loads: the weight of the sheet, and of a tool that rests on it."""
+"""Loads: the weight of the sheet, that of a tool that rests on it, and a force on the tool."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from ..tools.shapes import Tool
 from ..unknowns import FloatArray, Sheet
 from .term import Term
 
 GRAVITY = 9.81e-3  # N/g
+
+
+def load_of(tool: Tool) -> float:
+    """Weight of a tool and the force on it at the start of the travel, N."""
+    return 1e3 * GRAVITY * tool.mass + float(tool.forces[0, 1])
 
 
 class SheetWeight(Term):
@@ -56,3 +62,27 @@ class ToolWeight(Term):
 
     def hessian(self, x: FloatArray, state: None, convex: bool) -> FloatArray:
         return np.zeros((1, 1, 1))
+
+
+class ToolForce(Term):
+    """Force q, N, on a floating tool that changes over the travel: E = q (z - z0).
+
+    q is a prescribed unknown; z0, mm, is the height from which its work is counted.
+    """
+
+    quadratic = True
+
+    def __init__(self, dof: int, force_dof: int, start: float, name: str) -> None:
+        self.name, self.dofs, self.start = name, np.array([[dof, force_dof]]), start
+
+    def energy(self, x: FloatArray, state: None = None) -> FloatArray:
+        z, q = x[self.dofs].T
+        return q * (z - self.start)
+
+    def gradient(self, x: FloatArray, state: None = None) -> FloatArray:
+        z, q = x[self.dofs].T
+        return np.column_stack([q, z - self.start])
+
+    def hessian(self, x: FloatArray, state: None, convex: bool) -> FloatArray:
+        """Only the mixed derivative, as for the weight of the sheet."""
+        return np.array([[[0.0, 1.0], [1.0, 0.0]]])

@@ -21,7 +21,7 @@ from ..energy.bending import Bending
 from ..energy.contact import Contact
 from ..energy.friction import Friction
 from ..energy.membrane import Membrane
-from ..energy.weight import GRAVITY, SheetWeight, ToolWeight
+from ..energy.weight import GRAVITY, SheetWeight, ToolWeight, load_of
 from ..fabric import Fabric, TabulatedLaw, ThreeStageLaw
 from ..model import Model
 from ..result.summary import package_version
@@ -197,13 +197,12 @@ def _tools(
         name = f"T_{plain}"[:60]
         while name in {rigid.name for rigid in found.values()}:
             name += "_2"
-        weights = (term for term in model.terms if isinstance(term, ToolWeight))
         rigid = found[tool.name] = _Rigid(
             *(tool, dof, name, contact.origin(model.x0), *surface),
             reference=last_node + 1,
             elements=last_element + 1 + np.arange(len(surface[1])),
-            load=sum(float(term.force) for term in weights if term.dofs[0, 0] == dof),
-            mass=1e-3 * (tool.mass or tool.force / (1e3 * GRAVITY)) * model.share,
+            load=load_of(tool) * model.share * (tool.motion == "free"),
+            mass=1e-3 * (tool.mass or load_of(tool) / (1e3 * GRAVITY)) * model.share,
         )
         last_node += 1 + len(rigid.vertices)
         last_element += len(rigid.triangles) + rigid.free

@@ -23,7 +23,7 @@ from ..energy.friction import Friction
 from ..energy.membrane import membrane_of
 from ..energy.softening import bending_terms
 from ..energy.term import Term
-from ..energy.weight import GRAVITY, SheetWeight, ToolWeight
+from ..energy.weight import GRAVITY, SheetWeight, ToolForce, ToolWeight, load_of
 from ..fabric import Fabric, fabric_of
 from ..model import Model
 from ..net import free_mesh
@@ -43,7 +43,7 @@ from .supports import fix_supports, grips, keep_middle
 
 LEAST = 0.5  # of the default size: how fine it may be for the sake of a fillet
 FINE = 0.4  # of the smallest fillet: the mesh of the path
-FACTOR = "load factor of the weight"
+FACTOR, FORCE = "load factor of the weight", "force on the "
 
 
 def forming(
@@ -171,6 +171,8 @@ def formed_between_tools(
     sheet = (unknowns := Unknowns()).sheet(blank, fabric, 3, frame)
     for tool in tools_in_frame:
         unknowns.add(tool.name, 3 if tool.tilts else 1)
+        if len(tool.forces) > 1:
+            unknowns.add(FORCE + tool.name, 1)
     if file.gravity:
         unknowns.add(FACTOR, 1)
     x0, fixed, drive = unknowns.start(sheet)
@@ -315,8 +317,12 @@ def _rest(model: Model, contacts: Sequence[Contact]) -> list[Term]:
             raise InputError(f"the blank does not reach under the {tool.name}")
         if tool.tilts and not surrounds(contact, x0):
             raise InputError(f"the blank does not surround the weight of the {tool.name}")
-        load = (1e3 * GRAVITY * tool.mass + tool.force) * model.share
-        weights.append(ToolWeight(load, dof, f"weight of the {tool.name}"))
+        load = load_of(tool) * model.share
+        constant = load
+        if len(tool.forces) > 1:
+            weights.append(_force_over_travel(model, tool, dof))
+            constant -= tool.forces[0, 1] * model.share
+        weights.append(ToolWeight(constant, dof, f"weight of the {tool.name}"))
         model.resting += load
         sunk = max(sunk, contact.depth_under(load, sheet.blank.node_areas[under].sum()))
     x0[heights] = 0.5 * t0 - sunk
@@ -324,6 +330,16 @@ def _rest(model: Model, contacts: Sequence[Contact]) -> list[Term]:
         if contact.tool.motion == "free":
             x0[contact.tool_dofs[0]] -= 2 * sunk
     return weights
+
+
+def _force_over_travel(model: Model, tool: Tool, dof: int) -> ToolForce:
+    """Prescribe the force on a tool over the travel, and return its energy."""
+    force = int(model.unknowns[FORCE + tool.name].dofs[0, 0])
+    rows = tool.forces * [1.0, model.share]
+    model.loads[force], model.fixed[force], model.x0[force] = rows, True, rows[0, 1]
+    shown = ", ".join(f"{newton:g} N at {travel:g} mm" for travel, newton in tool.forces)
+    model.description.append((f"{FORCE}{tool.name} over the travel", shown))
+    return ToolForce(dof, force, tool.height, FORCE + tool.name)
 
 
 def _between_nodes(model: Model, contacts: Sequence[Contact]) -> list[Contact]:

@@ -183,7 +183,7 @@ class _Tool(Table):
     motion: _word("That of its role if left out", "driven", "fixed", "free") = OPEN
     friction: number("Coulomb coefficient; the fabric's if left out", "1", zero=True) = OPEN
     mass: number("Mass that rests on the sheet", "kg", zero=True) = 0.0
-    force: number("Force on the sheet beside the weight", "N", zero=True) = 0.0
+    force: number("Force on the sheet beside the weight", "N", zero=True, over="mm") = 0.0
     z: number("Height; where it touches the sheet if left out", "mm", signed=True) = OPEN
     place: PLACE = (0.0, 0.0)
     tilt: _flag("Whether a free tool may tilt") = OPEN
@@ -210,8 +210,9 @@ def _part(table: _Tool) -> ToolPart:
     values = {key: getattr(table, key) for key in OF_A_TOOL}
     part = ToolPart("", table.role, motion, geometry, **values)
     _ = part.shape  # refuses numbers that make no shape
-    if motion == "free" and not (part.mass or part.force):
-        raise InputError("a free tool needs a mass or a force")
+    rows = part.force if isinstance(part.force, tuple) else ((0.0, part.force),)
+    if motion == "free" and not (part.mass or all(force for _, force in rows)):
+        raise InputError("a free tool needs a mass or a force, over the whole travel")
     if motion != "free" and table.model_fields_set & {"mass", "force", "tilt"}:
         raise InputError("mass, force and tilt belong to a tool with motion = 'free'")
     return part

@@ -152,6 +152,14 @@ class Equilibrium:
         _, rate = self.model.prescribed(self.travel)
         return float(np.where(self.model.fixed, rate, 0.0) @ g)
 
+    def load_work(self, x: FloatArray, moved: FloatArray) -> float:
+        """Work of the change of loads from x to another state, mJ, by the trapezoidal rule."""
+        loads = list(self.model.loads)
+        if not loads:
+            return 0.0
+        g = self.gradient(x) + self.gradient(moved)
+        return float(0.5 * g[loads] @ (moved - x)[loads])
+
     def residual(
         self, g: FloatArray, certified: bool = False, driven: FloatArray | None = None
     ) -> float:

@@ -148,7 +148,7 @@ class Run:
         force, stored = self._force_and_energy(moved, memory)
         work = 0.5 * (account.force + force) * (target - s)
         lost = self.equations.potential.dissipated(self.memory, memory, moved)
-        gap = work - (stored - account.stored) - lost
+        gap = work + self.equations.load_work(self.x, moved) - (stored - account.stored) - lost
         # at the end there will be at least the work so far in proportion to the travel
         expected = (abs(account.work) + abs(work)) * self.model.travel / target
         coarse = abs(gap) > WEIGHED * expected

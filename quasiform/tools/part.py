@@ -65,7 +65,7 @@ class ToolPart:
     geometry: Form | SurfaceFile | Shape
     friction: float | None = None
     mass: float = 0.0
-    force: float = 0.0
+    force: float | shapes.Rows = 0.0
     z: float | None = None
     place: Point = (0.0, 0.0)
     tilt: bool | None = None

@@ -28,6 +28,7 @@ except ImportError:  # the extra `fast` is not installed
 
 FloatArray = np.ndarray
 Distance = tuple[FloatArray, FloatArray, FloatArray]
+Rows = tuple[tuple[float, float], ...]  # travel, mm, and force, N
 FAR = 1e4  # mm; half the length of straight tools that have no end
 
 
@@ -391,8 +392,9 @@ class Tool:
         Coulomb coefficient.
     mass : float
         kg, of free tools.
-    force : float
-        N along -z, on free tools, beside their weight.
+    force : float or rows (travel, force)
+        N along -z, on free tools, beside their weight; rows over the travel in mm, linear in
+        between and constant beyond.
     place : (2,)
         x and y of the shape's origin, mm.
     tilts : bool
@@ -406,7 +408,7 @@ class Tool:
     motion: Literal["fixed", "driven", "free"] = "fixed"
     friction: float = 0.0
     mass: float = 0.0
-    force: float = 0.0
+    force: float | Rows = 0.0
     place: tuple[float, float] = (0.0, 0.0)
     tilts: bool = False
 
@@ -415,11 +417,18 @@ class Tool:
             raise InputError(
                 f"{self.name}: motion must be 'fixed', 'driven' or 'free', got {self.motion!r}"
             )
-        weightless = self.motion != "free" or self.force > 0
-        for key, zero in (("friction", True), ("force", True), ("mass", weightless)):
+        weightless = self.motion != "free" or self.forces[:, 1].min() > 0
+        for key, zero in (("friction", True), ("mass", weightless)):
             check_number(f"{self.name}: {key}", getattr(self, key), zero_allowed=zero)
+        for force in self.forces[:, 1]:
+            check_number(f"{self.name}: force", float(force), zero_allowed=True)
         if self.tilts and self.motion != "free":
             raise InputError(f"{self.name}: only a free tool tilts")
+
+    @property
+    def forces(self) -> FloatArray:
+        """(n, 2) travel, mm, and force, N, of each row; one row for a constant force."""
+        return np.array(self.force if isinstance(self.force, tuple) else [(0.0, self.force)])
 
     def gap(self, points: FloatArray, travel: float = 0.0) -> FloatArray:
         """(n,) distances of points (n, 3) from the tool at a travel along z, mm."""
