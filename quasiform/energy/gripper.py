@@ -16,7 +16,7 @@ class Grip(Term):
     """A gripper on nodes (m,) of a sheet in space, with T in N when they are at `start` (m, 3)."""
 
     name = "gripper"
-    quadratic = True
+    quadratic = load = True
 
     def __init__(
         self,

@@ -42,6 +42,7 @@ class Term:
     name: str = "term"
     dofs: IntArray
     quadratic: bool = False  # the Hessian is the same everywhere: it is summed once
+    load: bool = False  # its energy is what a load has left to give
     # few stencils act at a time: `active(x, state)` gives their numbers, and `hessian` takes these
     # as a last argument `rows`
     selective: bool = False

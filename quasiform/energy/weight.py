@@ -24,7 +24,7 @@ class SheetWeight(Term):
     """
 
     name = "weight of the sheet"
-    quadratic = True
+    quadratic = load = True
 
     def __init__(self, sheet: Sheet, load: float, factor_dof: int) -> None:
         height = sheet.dofs[:, 2]
@@ -49,7 +49,7 @@ class SheetWeight(Term):
 class ToolWeight(Term):
     """Weight P, N, of a floating tool and what else presses it down: E = P z."""
 
-    quadratic = True
+    quadratic = load = True
 
     def __init__(self, load: float, dof: int, name: str = "weight of the blank holder") -> None:
         self.name, self.dofs, self.force = name, np.array([[dof]]), load
@@ -70,7 +70,7 @@ class ToolForce(Term):
     q is a prescribed unknown; z0, mm, is the height from which its work is counted.
     """
 
-    quadratic = True
+    quadratic = load = True
 
     def __init__(self, dof: int, force_dof: int, start: float, name: str) -> None:
         self.name, self.dofs, self.start = name, np.array([[dof, force_dof]]), start

@@ -30,6 +30,8 @@ from .weight_steps import load_factors, with_weight
 MOST_RELAXED = 60_000  # iterations of a run by dynamic relaxation alone
 SADDLES = 8  # tries to leave saddles, each with twice the stride of the last
 WEIGHED = 5e-3  # of the work to come: what an increment may miss by the trapezoidal rule
+LOADS = 1e-2  # of the work of loads: where the travel does less, the balance is relative to it
+NOISE = 1e-4  # of the loads times the thickness: the least that it is relative to
 
 Rung = tuple[str, Callable[["Run", float], FloatArray]]  # its name, and what it does
 
@@ -72,7 +74,8 @@ class Account:
     force: float = 0.0  # driving force at the last state, N
     stored: float = 0.0  # energy there, mJ
     work: float = 0.0  # done by the travel, mJ
-    gap: float = 0.0  # what the balance misses of it, mJ
+    given: float = 0.0  # that of loads: from the flat sheet on, and as they change, mJ
+    gap: float = 0.0  # what the balance misses of all this work, mJ
     damped: float = 0.0  # what the rescues took up, mJ
     increments: int = 0
     rescues: dict[str, int] = field(default_factory=dict)  # uses of each rung
@@ -128,6 +131,14 @@ class Run:
         """Begin the energy account at the start, or where a run takes over."""
         self.x, self.travel = x, travel
         self.account.force, self.account.stored = self._force_and_energy(x, self.memory)
+        loads = [term for term in self.model.terms if term.load]
+        given = sum(t.total(self.model.x0, None) - t.total(x, None) for t in loads)
+        self.account.given = abs(float(given))
+
+    def _reference(self, work: float) -> float:
+        """What a gap in the balance is relative to, mJ; `work` is that of the travel."""
+        least = NOISE * self.equations.least_energy
+        return max(abs(work), LOADS * self.account.given, least)
 
     def settle(self, x: FloatArray) -> FloatArray:
         """Find the equilibrium near x and commit it."""
@@ -148,10 +159,11 @@ class Run:
         force, stored = self._force_and_energy(moved, memory)
         work = 0.5 * (account.force + force) * (target - s)
         lost = self.equations.potential.dissipated(self.memory, memory, moved)
-        gap = work + self.equations.load_work(self.x, moved) - (stored - account.stored) - lost
+        given = self.equations.load_work(self.x, moved)
+        gap = work + given - (stored - account.stored) - lost
         # at the end there will be at least the work so far in proportion to the travel
         expected = (abs(account.work) + abs(work)) * self.model.travel / target
-        coarse = abs(gap) > WEIGHED * expected
+        coarse = abs(gap) > WEIGHED * self._reference(expected)
         tried, missed = account.missed
         if coarse and weigh:
             account.damped, account.missed = damped, (target, gap)
@@ -167,6 +179,7 @@ class Run:
             account.gap += gap
         self.x, self.travel, account.force, account.stored = moved, target, force, stored
         account.work += work
+        account.given += abs(given)
         account.increments += 1
         self._accept(moved, memory)
         if account.collapse is None:
@@ -286,7 +299,7 @@ class Run:
             rescues=account.rescues | {rung: times for rung, times in own.items() if times},
             residual=equations.residual(g, certified=True),
             settings=asdict(self.settings) | {"linear": tangent.solver.name},
-            energy_balance=abs(account.gap) / max(abs(account.work), 1e-12),
+            energy_balance=abs(account.gap) / self._reference(account.work),
             energy=account.stored,
             stabilisation=account.damped / max(abs(account.stored), 1e-12),
             parted=account.parted,
