@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -84,6 +85,8 @@ class Result(Outcome):
         where the exact tangent was not positive definite.
     memory : tuple
         States of the terms at the end.
+    track : solve.sensitivity.Track or None
+        Its converged increments.
     notes : list of (entry, reason)
         What else to say of how it was solved.
     """
@@ -130,6 +133,34 @@ class Result(Outcome):
             "estimated_error": [self.estimate.get(name) for name in found],
             "unit": [name.rpartition("_")[2].replace("deg", "°") for name in found],
         }
+
+    def sensitivity(
+        self, parameters: Iterable[str] | None = None, outputs: Iterable[str] | None = None
+    ) -> Any:
+        """Derivatives of the numbers of the run by parameters, along its path.
+
+        Where only the end was solved on this mesh, those of the path, on its mesh.
+
+        Parameters
+        ----------
+        parameters : iterable of str, optional
+            Dotted names as in `overrides` (`fabric.friction`, `tools.holder.mass`), or their last
+            parts; all numbers of the fabric, the tools and the grippers if not given.
+        outputs : iterable of str, optional
+            Of the `quantities` and the columns of the history; all if not given.
+
+        Returns
+        -------
+        solve.sensitivity.Sensitivity
+
+        Raises
+        ------
+        InputError
+            For unknown names, and where the run has no derivative: it was stopped, is not
+            converged, or the sheet jumped or buckled on the way.
+        """
+        run = self.path or self
+        return run.track.sensitivity(run, parameters, outputs)
 
     def judge(self, coarser: list[Result], finer: Result | None = None) -> None:
         """Estimate the error of the mesh from results on others, as `estimate.judged` does."""
