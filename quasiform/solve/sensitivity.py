@@ -31,9 +31,9 @@ from ..unknowns import FloatArray, IntArray
 from .linear import linear_solver, mirrored
 from .parameters import Parameter, named, parameters, with_value
 
-STEP = 1e-5  # h relative to the value of a parameter
-LEFT = 1e-4  # of the change of the residual that a neighbour may leave
-MOST = 3  # back-substitutions a parameter and increment
+STEP = 3e-5  # h relative to the value of a parameter
+LEFT = 1e-4  # of δx, or this much in mm times h: what a neighbour may miss
+MOST = 3  # steps of a neighbour in an increment
 
 
 @dataclass(frozen=True)
@@ -201,15 +201,15 @@ def _follow(
     run.commit(x, lagged, g)
     for other in beside:
         near = x + np.where(free, 0.0, other.model.prescribed(travel)[0] - place)
-        r = (other.gradient(near, other.lagged(near)) - g)[free]
-        most = LEFT * np.abs(r).sum()
+        step = tangent.solve((other.gradient(near, other.lagged(near)) - g)[free])
+        enough = LEFT * (np.abs(step).max(initial=0.0) + STEP)
         for _ in range(MOST):
             near = near.copy()
-            near[free] -= tangent.solve(r)
+            near[free] -= step
             lagged = other.lagged(near)
             g_near = other.gradient(near, lagged)
-            r = (g_near - g)[free]
-            if np.abs(r).sum() <= most:
+            step = tangent.solve((g_near - g)[free])
+            if np.abs(step).max(initial=0.0) <= enough:
                 break
         other.commit(near, lagged, g_near)
 
