@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ..checks import InputError
 from .certificate import Certificate, certify, one_of_many
 from .estimate import judged
 from .files import SCENE, replaced
@@ -160,7 +161,35 @@ class Result(Outcome):
             converged, or the sheet jumped or buckled on the way.
         """
         run = self.path or self
+        if run.track is None:
+            raise InputError("no sensitivities: this result holds no increments")
         return run.track.sensitivity(run, parameters, outputs)
+
+    def parameter_errors(self, given: Mapping[str, float]) -> dict[str, dict[str, float | None]]:
+        """What is known of the error of each of the `quantities`: of the mesh, and by parameters.
+
+        Parameters
+        ----------
+        given : dict of parameter to float
+            What each is uncertain by (a standard deviation, say), in its own unit.
+
+        Returns
+        -------
+        dict by quantity
+            `value`, `mesh` (None if not estimated), the change by each parameter, and `total`, the
+            root of the sum of their squares: errors count as small and independent.
+
+        Raises
+        ------
+        InputError
+            As `sensitivity` does.
+        """
+        found, parts = {}, self.sensitivity(given, self.quantities).errors(given)
+        for name, value in self.quantities.items():
+            mesh, by = self.estimate.get(name), parts[name]
+            total = float(np.hypot.reduce([mesh or 0.0, *by.values()]))
+            found[name] = {"value": value, "mesh": mesh, **by, "total": total}
+        return found
 
     def judge(self, coarser: list[Result], finer: Result | None = None) -> None:
         """Estimate the error of the mesh from results on others, as `estimate.judged` does."""

@@ -9,13 +9,16 @@ from dataclasses import dataclass, replace
 from numbers import Real
 from typing import Any
 
+import numpy as np
+
 from ..checks import InputError, suggestion
 from ..fabric import Fabric
 from ..model import Model
 from ..result.assumed import STATED, assumed
 from ..scenes.scene_file import SceneFile, changed, scene_toml
 
-NO_PARAMETER = "name", "size", "travel", "areas", "increments", "outputs", "run", "law", "fabric"
+NO_PARAMETER = "name", "format", "size", "travel", "areas", "increments", "outputs", "run", "law"
+BESIDE = "provenance", "shear_range"  # of a fabric: what no state depends on
 OF_THE_MESH = "blank.", "angle", "length", "width", "mesh", "displacement"  # only if asked for
 BESIDE_TOOLS = ("shear", "warp", "weft", "bending", "in_plane", "compaction", "areal")
 
@@ -38,12 +41,12 @@ def parameters(model: Model) -> dict[str, Parameter]:
     """All numbers that the recipe of a model holds, by name."""
     given, standings = dict(model.recipe.given), model.parameters.get("standings", {})
     found = {name: value for name, value in given.items() if name not in NO_PARAMETER}
-    fabric = given.get("fabric")
+    fabric = found.pop("fabric", None)
     if isinstance(file := found.pop("file", None), SceneFile):
         table = tomllib.loads(scene_toml(file))
-        found |= {key: value for key, value in table.items() if key not in NO_PARAMETER}
+        found |= {key: table[key] for key in table if key not in (*NO_PARAMETER, "fabric")}
     if isinstance(fabric, Fabric):
-        found["fabric"] = {k: v for k, v in fabric.written().items() if k != "provenance"}
+        found["fabric"] = {k: v for k, v in fabric.written().items() if k not in BESIDE}
         of_fabric = {f"fabric.{name}": str(text) for name, text in fabric.provenance.items()}
         if fabric.shear in (Fabric.preset("locking").shear, Fabric.preset("best-fit").shear):
             of_fabric = {f"fabric.{name}": "stated" for name in STATED} | of_fabric
@@ -101,7 +104,9 @@ def with_value(model: Model, name: str, value: float) -> Model:
         given["file"] = changed(given["file"], {name: value})
         like = None if first in ("tools", "blank") else model
     other = replace(model.recipe, given=tuple(sorted(given.items()))).build(like=like)
-    same = len(other.x0) == len(model.x0) and (other.fixed == model.fixed).all()
-    if not (same and other.travel == model.travel):
+    same = other.x0.shape == model.x0.shape and np.array_equal(other.fixed, model.fixed)
+    pairs = zip(other.sheets, model.sheets, strict=True)
+    same = same and all(np.array_equal(o.blank.nodes, m.blank.nodes) for o, m in pairs)
+    if not same or other.travel != model.travel:
         raise InputError(f"parameter '{name}' changes the mesh, the supports or the travel")
     return other

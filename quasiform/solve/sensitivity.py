@@ -16,7 +16,7 @@ Derivatives are those within a branch: the points that touch, stick and slip sta
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -25,8 +25,8 @@ import numpy as np
 from ..checks import InputError, suggestion
 from ..model import Model
 from ..potential import Memory, Potential
-from ..result.certificate import LIFTED, certify
-from ..result.outcome import Outcome, State
+from ..result.certificate import certify, one_of_many
+from ..result.outcome import Outcome
 from ..unknowns import FloatArray, IntArray
 from .linear import linear_solver, mirrored
 from .parameters import Parameter, named, parameters, with_value
@@ -34,6 +34,8 @@ from .parameters import Parameter, named, parameters, with_value
 STEP = 3e-5  # h relative to the value of a parameter
 LEFT = 1e-4  # of δx, or this much in mm times h: what a neighbour may miss
 MOST = 3  # steps of a neighbour in an increment
+RATE = 1e-4  # mm of travel, by which the rate of motion is found
+JUMPED = 0.15  # of the motion in an increment: what the rates at both ends may miss of it
 
 
 @dataclass(frozen=True)
@@ -44,36 +46,37 @@ class Sensitivity:
     ----------
     parameters : dict of name to Parameter
         With their values and standings.
-    outputs : dict of name to float
-        The numbers at the end.
     derivatives : dict of parameter to dict of output to float
         At the end, in the unit of the output per unit of the parameter.
     along : dict of parameter to dict of column to array
         The same of the columns of the history, a value for each of its rows.
-    size : float
-        Of the mesh, mm.
     """
 
     parameters: dict[str, Parameter]
-    outputs: dict[str, float]
     derivatives: dict[str, dict[str, float]]
     along: dict[str, dict[str, FloatArray]]
-    size: float
 
     def table(self) -> dict[str, list[Any]]:
-        """Columns, a row for each parameter and output; `pandas.DataFrame` takes it.
+        """Columns, one row a parameter and output; `pandas.DataFrame` takes it.
 
-        `percent_per_percent` is the change of the output in percent by 1 % of the parameter.
+        `by_percent` is the change of the output by 1 % of the parameter.
         """
+        names = "parameter", "value", "standing", "output", "derivative", "by_percent"
         rows = [
-            (p.name, p.value, p.standing, output, value, rate, rate * p.value / value)
+            (p.name, p.value, p.standing, output, rate, 0.01 * p.value * rate)
             for p in self.parameters.values()
             for output, rate in self.derivatives[p.name].items()
-            if (value := self.outputs[output])
         ]
-        names = "parameter", "value", "standing", "output", "at", "derivative"
-        columns = zip(*rows, strict=True) if rows else [()] * 7
-        return dict(zip((*names, "percent_per_percent"), map(list, columns), strict=True))
+        return {name: [row[i] for row in rows] for i, name in enumerate(names)}
+
+    def errors(self, given: Mapping[str, float]) -> dict[str, dict[str, float]]:
+        """Change of each output by what each parameter is uncertain by, in its own unit."""
+        by = {named(self.parameters, name).name: error for name, error in given.items()}
+        outputs = next(iter(self.derivatives.values()), {})
+        return {
+            output: {name: abs(self.derivatives[name][output] * e) for name, e in by.items()}
+            for output in outputs
+        }
 
 
 @dataclass
@@ -86,59 +89,56 @@ class Track:
         self, result: Outcome, chosen: Iterable[str] | None, outputs: Iterable[str] | None
     ) -> Sensitivity:
         """Derivatives of a result of this track; see `Result.sensitivity`."""
-        if why := self.refused(result):
+        if why := self._refused(result):
             raise InputError(f"no sensitivities: {why}")
-        known, base = parameters(result.model), result.model
-        asked = [named(known, name) for name in chosen or ()]
-        asked = asked if chosen is not None else [p for p in known.values() if p.listed]
-        steps = {p: STEP * p.value for p in asked}
-        others = [with_value(base, p.name, p.value + h) for p, h in steps.items()]
-        run, *beside = runs = [_Run.begin(model) for model in (base, *others)]
-        wanted, rows = {s.travel for s in result.states}, list[list[dict[str, float]]]()
-        if not base.resting:
-            rows.append([one.columns(0.0) for one in runs])
-        tangent = _WholeTangent(base, run.memory, result.settings["linear"])
-        for travel, x in self.increments:
-            _follow(travel, x, run, beside, tangent)
-            if travel in wanted and (travel or x is result.states[0].x):
-                rows.append([one.columns(travel) for one in runs])
-        ends = [one.numbers(result, travel) for one in runs]
-        names = self._outputs(ends[0], outputs)
+        base, known = result.model, parameters(result.model)
+        asked = [p for p in known.values() if p.listed]
+        asked = asked if chosen is None else [named(known, name) for name in chosen]
+        steps = {p.name: STEP * p.value for p in asked}
+        others = [with_value(base, p.name, p.value + steps[p.name]) for p in asked]
+        runs = [_Run.begin(model) for model in (base, *others)]
+        rows = self._followed(runs, result)
+        ends = [run.numbers(result, rows[-1][i]) for i, run in enumerate(runs)]
+        names = list(ends[0]) if outputs is None else list(outputs)
+        if unknown := [name for name in names if name not in ends[0]]:
+            raise InputError(f"unknown output '{unknown[0]}': {suggestion(unknown[0], ends[0])}")
         rates, along = {}, {}
-        for i, (p, h) in enumerate(steps.items(), 1):
-            rates[p.name] = {n: (ends[i][n] - ends[0][n]) / h for n in names}
-            along[p.name] = {
-                n: np.array([(row[i][n] - row[0][n]) / h for row in rows]) for n in rows[0][0]
-            }
-        values = {name: ends[0][name] for name in names}
-        return Sensitivity({p.name: p for p in asked}, values, rates, along, base.size)
+        for i, (name, h) in enumerate(steps.items(), 1):
+            rates[name] = {n: (ends[i][n] - ends[0][n]) / h for n in names}
+            along[name] = {n: np.array([(r[i][n] - r[0][n]) / h for r in rows]) for n in rows[0][0]}
+        return Sensitivity({p.name: p for p in asked}, rates, along)
 
-    @staticmethod
-    def _outputs(known: dict[str, float], chosen: Iterable[str] | None) -> list[str]:
-        chosen = list(known) if chosen is None else list(chosen)
-        for name in chosen:
-            if name not in known:
-                raise InputError(f"unknown output '{name}': {suggestion(name, known)}")
-        return chosen
+    def _followed(self, runs: list[_Run], result: Outcome) -> list[list[dict[str, float]]]:
+        """Columns of the history of each run in the states of a result; the runs are at its end."""
+        run, tangent = runs[0], _WholeTangent(runs[0].model, runs[0].memory, result.settings)
+        wanted, last = {state.travel for state in result.states}, None
+        columns = {0.0: [one.columns(0.0) for one in runs]}
+        for travel, x in self.increments:
+            rate = _follow(travel, x, runs, tangent)
+            if last and travel > last[0]:
+                _check_motion(run.model, last, (travel, x, rate))
+            last = travel, x, rate
+            if travel in wanted:
+                columns[travel] = [one.columns(travel) for one in runs]
+        return [columns[state.travel] for state in result.states]
 
-    def refused(self, result: Outcome) -> str:
-        """Why there are no derivatives of a result; empty where there are."""
+    def _refused(self, result: Outcome) -> str:
+        """Why there are no derivatives of a result; empty where nothing speaks against them."""
         if result.reason:
             return f"the run was not completed: {result.reason}"
         if result.model.changed:
             return "the model was changed by hand (Model.including makes a change part of it)"
         if result.snaps:
             at = f"{result.snaps[0]['to_mm']:.4g} mm"
-            return f"the sheet jumped to another state near {at}: the path has no derivative there"
-        if result.parted > LIFTED * result.model.sheet.fabric.thickness:
-            return (
-                f"the sheet became unstable and buckled away by {result.parted:.2g} mm: which way "
-                "does not depend on parameters alone"
-            )
+            return f"the sheet jumped to another state near {at}: there the path has no derivative"
+        if result.rescues.get("saddle left"):
+            words = f"the sheet became unstable and buckled away, by {result.parted:.2g} mm"
+            return f"{words}: there the path has no derivative"
         if result.stabilisation:
-            return "a rescue of the solver brought the sheet to another state on the way"
-        verdict = certify(result)
-        if not verdict.converged:
+            return "a rescue of the solver brought the sheet to another state"
+        if result.spread and (many := one_of_many(result)):
+            return many
+        if not (verdict := certify(result)).converged:
             return f"the run is not converged: {verdict}"
         if sum(travel > 0 for travel, _ in self.increments) != result.increments:
             return "the run was continued from a record, which does not hold all increments"
@@ -183,21 +183,26 @@ class _Run:
         measures = {name: measure(self.x) for name, measure in self.model.measures.items()}
         return {self.model.force_name: self.force(travel)} | measures
 
-    def numbers(self, result: Outcome, travel: float) -> dict[str, float]:
+    def numbers(self, result: Outcome, columns: dict[str, float]) -> dict[str, float]:
         """Numbers at the end: the quantities of a result, and the columns of its history."""
-        end = State(travel, self.x, self.force(travel), 0, {})
-        found = replace(result, model=self.model, states=[end]).quantities
-        return found | self.columns(travel)
+        force = columns[self.model.force_name]
+        end = replace(result.states[-1], x=self.x, force=force)
+        return replace(result, model=self.model, states=[end]).quantities | columns
 
 
-def _follow(
-    travel: float, x: FloatArray, run: _Run, beside: list[_Run], tangent: _WholeTangent
-) -> None:
-    """Bring a run and those beside it over one increment that ends at x."""
-    free, place = tangent.free, run.model.prescribed(travel)[0]
+def _follow(travel: float, x: FloatArray, runs: list[_Run], tangent: _WholeTangent) -> FloatArray:
+    """Bring a run and those beside it over an increment that ends at x; the rate of motion there.
+
+    The rate (n_dofs,) is the derivative of x by the travel.
+    """
+    run, *beside = runs
+    free, (place, rate) = tangent.free, run.model.prescribed(travel)
     lagged = run.lagged(x)
     tangent.factor(x, run.memory, lagged)
     g = run.gradient(x, lagged)
+    moved = np.where(free, 0.0, RATE * rate)
+    change = run.gradient(x + moved, run.lagged(x + moved)) - g
+    moved[free] = -tangent.solve(change[free])
     run.commit(x, lagged, g)
     for other in beside:
         near = x + np.where(free, 0.0, other.model.prescribed(travel)[0] - place)
@@ -212,13 +217,33 @@ def _follow(
             if np.abs(step).max(initial=0.0) <= enough:
                 break
         other.commit(near, lagged, g_near)
+    return moved / RATE
+
+
+End = tuple[float, FloatArray, FloatArray]  # of an increment: travel, unknowns, rate of motion
+
+
+def _check_motion(model: Model, start: End, end: End) -> None:
+    """Refuse an increment whose motion is not that of the rates at both ends (trapezoidal rule)."""
+    (s, x, rate), (s_end, x_end, rate_end) = start, end
+    nodes = model.unknowns.at_nodes()
+    motion = (x_end - x)[nodes]
+    missed = motion - 0.5 * (s_end - s) * (rate + rate_end)[nodes]
+    most = float(np.abs(missed).max())
+    smooth = np.linalg.norm(missed) <= JUMPED * np.linalg.norm(motion)
+    if not smooth and most > model.sheet.fabric.thickness:
+        raise InputError(
+            f"no sensitivities: between {s:.4g} and {s_end:.4g} mm of travel the sheet moved by up "
+            f"to {most:.2g} mm that its rates of motion at both ends do not explain: it jumped or "
+            f"turned to another state (smaller increments show which, a run to {s:.4g} mm has them)"
+        )
 
 
 class _WholeTangent:
     """The exact tangent with what lagged values add to it; not symmetric."""
 
-    def __init__(self, model: Model, memory: Memory, linear: str) -> None:
-        self.model, self.linear, self.free = model, linear, ~model.fixed
+    def __init__(self, model: Model, memory: Memory, settings: dict[str, Any]) -> None:
+        self.model, self.linear, self.free = model, settings["linear"], ~model.fixed
         self.potential = Potential(model.terms, self.free, memory)
         self.number = np.where(self.free, np.cumsum(self.free) - 1, -1)
         self._lay_out()
