@@ -20,7 +20,7 @@ from ..scenes.scene_file import SceneFile, changed, scene_toml
 NO_PARAMETER = "name", "format", "size", "travel", "areas", "increments", "outputs", "run", "law"
 BESIDE = "provenance", "shear_range"  # of a fabric: what no state depends on
 OF_THE_MESH = "blank.", "angle", "length", "width", "mesh", "displacement"  # only if asked for
-BESIDE_TOOLS = ("shear", "warp", "weft", "bending", "in_plane", "compaction", "areal")
+READ_ANEW = "tools.", "blank.", "fabric.thickness"
 
 
 @dataclass(frozen=True)
@@ -90,20 +90,20 @@ def with_value(model: Model, name: str, value: float) -> Model:
     Raises InputError where that changes the mesh, the supports or the travel.
     """
     given, (first, *rest) = dict(model.recipe.given), name.split(".")
-    like = None
     if first == "fabric":
         table = here = deepcopy(given["fabric"].written())
         for part in rest[:-1]:
             here = here[part]
         here[rest[-1]] = value
         given["fabric"] = Fabric.read(table)
-        like = model if rest[0].startswith(BESIDE_TOOLS) else None
     elif name in given:
         given[name] = value
     else:
         given["file"] = changed(given["file"], {name: value})
-        like = None if first in ("tools", "blank") else model
-    other = replace(model.recipe, given=tuple(sorted(given.items()))).build(like=like)
+    # what was read from files depends on these
+    anew = name.startswith(READ_ANEW) and model.tools and model.tools[1]
+    recipe = replace(model.recipe, given=tuple(sorted(given.items())))
+    other = recipe.build(like=None if anew else model)
     same = other.x0.shape == model.x0.shape and np.array_equal(other.fixed, model.fixed)
     pairs = zip(other.sheets, model.sheets, strict=True)
     same = same and all(np.array_equal(o.blank.nodes, m.blank.nodes) for o, m in pairs)

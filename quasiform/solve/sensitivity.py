@@ -32,8 +32,9 @@ from .linear import linear_solver, mirrored
 from .parameters import Parameter, named, parameters, with_value
 
 STEP = 3e-5  # h relative to the value of a parameter
-LEFT = 1e-4  # of δx, or this much in mm times h: what a neighbour may miss
+LEFT = 1e-4  # of the first step of a neighbour: a smaller one is not taken
 MOST = 3  # steps of a neighbour in an increment
+ROUND_OFF = 1e-12  # mm, of unknowns
 RATE = 1e-4  # mm of travel, by which the rate of motion is found
 JUMPED = 0.15  # of the motion in an increment: what the rates at both ends may miss of it
 
@@ -207,7 +208,7 @@ def _follow(travel: float, x: FloatArray, runs: list[_Run], tangent: _WholeTange
     for other in beside:
         near = x + np.where(free, 0.0, other.model.prescribed(travel)[0] - place)
         step = tangent.solve((other.gradient(near, other.lagged(near)) - g)[free])
-        enough = LEFT * (np.abs(step).max(initial=0.0) + STEP)
+        enough = LEFT * np.abs(step).max(initial=0.0) + ROUND_OFF
         for _ in range(MOST):
             near = near.copy()
             near[free] -= step
