@@ -146,6 +146,9 @@ class Track:
         return ""
 
 
+At = tuple[FloatArray, Memory, FloatArray]
+
+
 @dataclass
 class _Run:
     """Where a model has come to beside a run, with its gradient there."""
@@ -160,17 +163,16 @@ class _Run:
         memory = tuple(term.initial(model.x0) for term in model.terms)
         return _Run(model, model.x0, memory, np.zeros_like(model.x0))
 
-    def lagged(self, x: FloatArray) -> Memory:
-        """States with lagged values from x."""
-        return tuple(t.refresh(x, s) for t, s in zip(self.model.terms, self.memory, strict=True))
-
-    def gradient(self, x: FloatArray, lagged: Memory) -> FloatArray:
-        g = np.zeros(len(x))
-        for term, state in zip(self.model.terms, lagged, strict=True):
+    def at(self, x: FloatArray) -> At:
+        """x, states with lagged values from there, and the gradient (n_dofs,), N."""
+        terms, g = self.model.terms, np.zeros(len(x))
+        lagged = tuple(t.refresh(x, s) for t, s in zip(terms, self.memory, strict=True))
+        for term, state in zip(terms, lagged, strict=True):
             term.add_gradient(g, x, state)
-        return g
+        return x, lagged, g
 
     def commit(self, x: FloatArray, lagged: Memory, g: FloatArray) -> None:
+        """Come to x."""
         states = zip(self.model.terms, lagged, strict=True)
         self.x, self.g, self.memory = x, g, tuple(t.commit(x, s) for t, s in states)
 
@@ -198,27 +200,42 @@ def _follow(travel: float, x: FloatArray, runs: list[_Run], tangent: _WholeTange
     """
     run, *beside = runs
     free, (place, rate) = tangent.free, run.model.prescribed(travel)
-    lagged = run.lagged(x)
+    _, lagged, g = run.at(x)
     tangent.factor(x, run.memory, lagged)
-    g = run.gradient(x, lagged)
     moved = np.where(free, 0.0, RATE * rate)
-    change = run.gradient(x + moved, run.lagged(x + moved)) - g
-    moved[free] = -tangent.solve(change[free])
+    moved[free] = -tangent.solve((run.at(x + moved)[2] - g)[free])
     run.commit(x, lagged, g)
-    for other in beside:
-        near = x + np.where(free, 0.0, other.model.prescribed(travel)[0] - place)
-        step = tangent.solve((other.gradient(near, other.lagged(near)) - g)[free])
-        enough = LEFT * np.abs(step).max(initial=0.0) + ROUND_OFF
-        for _ in range(MOST):
-            near = near.copy()
-            near[free] -= step
-            lagged = other.lagged(near)
-            g_near = other.gradient(near, lagged)
-            step = tangent.solve((g_near - g)[free])
-            if np.abs(step).max(initial=0.0) <= enough:
-                break
-        other.commit(near, lagged, g_near)
+    starts = [x + np.where(free, 0.0, r.model.prescribed(travel)[0] - place) for r in beside]
+    _bring(beside, starts, g, tangent)
     return moved / RATE
+
+
+def _bring(
+    runs: list[_Run], starts: list[FloatArray], wanted: FloatArray, tangent: _WholeTangent
+) -> None:
+    """Solve for the free gradient `wanted` (n_dofs,) in each run, from where it starts; commit."""
+    if not runs:
+        return
+    free, ends = tangent.free, [run.at(x) for run, x in zip(runs, starts, strict=True)]
+
+    def steps_of(left: IntArray) -> tuple[FloatArray, FloatArray]:
+        steps = tangent.solve(np.stack([(ends[i][2] - wanted)[free] for i in left], axis=1))
+        return steps, np.abs(steps).max(axis=0, initial=0.0)
+
+    left = np.arange(len(runs))
+    steps, first = steps_of(left)
+    for _ in range(MOST):
+        for i, step in zip(left, steps.T, strict=True):
+            x = ends[i][0].copy()
+            x[free] -= step
+            ends[i] = runs[i].at(x)
+        steps, longest = steps_of(left)
+        more = longest > LEFT * first[left] + ROUND_OFF
+        left, steps = left[more], steps[:, more]
+        if not len(left):
+            break
+    for run, end in zip(runs, ends, strict=True):
+        run.commit(*end)
 
 
 End = tuple[float, FloatArray, FloatArray]  # of an increment: travel, unknowns, rate of motion
@@ -272,10 +289,13 @@ class _WholeTangent:
         if self.potential.follow(lagged):
             self._lay_out()
         values = np.append(self.potential.hessian(x, lagged, False)[0][self.source], 0.0)
+        slots, more = [], []
         for term, b, state in zip(self.model.terms, before, lagged, strict=True):
-            if (more := term.through_refresh(x, b, state)) is not None:
-                slots = self._slots_of(term.stencils(state))[more[0]]
-                values += np.bincount(slots.ravel(), more[1].ravel(), minlength=len(values))
+            if (found := term.through_refresh(x, b, state)) is not None:
+                slots.append(self._slots_of(term.stencils(state))[found[0]].ravel())
+                more.append(found[1].ravel())
+        if slots:
+            values += np.bincount(np.concatenate(slots), np.concatenate(more), len(values))
         self.solver.factor(values[:-1])
 
     def solve(self, b: FloatArray) -> FloatArray:
