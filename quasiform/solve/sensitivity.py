@@ -35,6 +35,7 @@ STEP = 3e-5  # h relative to the value of a parameter
 LEFT = 1e-4  # of the first step of a neighbour: a smaller one is not taken
 MOST = 3  # steps of a neighbour in an increment
 ROUND_OFF = 1e-12  # mm, of unknowns
+NEWTON, NEAR = 8, 1e-5  # factorisations an increment at most, and the step in mm that ends them
 RATE = 1e-4  # mm of travel, by which the rate of motion is found
 JUMPED = 0.15  # of the motion in an increment: what the rates at both ends may miss of it
 
@@ -200,14 +201,32 @@ def _follow(travel: float, x: FloatArray, runs: list[_Run], tangent: _WholeTange
     """
     run, *beside = runs
     free, (place, rate) = tangent.free, run.model.prescribed(travel)
-    _, lagged, g = run.at(x)
-    tangent.factor(x, run.memory, lagged)
+    x, lagged, g = _polished(run, x, tangent)
     moved = np.where(free, 0.0, RATE * rate)
     moved[free] = -tangent.solve((run.at(x + moved)[2] - g)[free])
     run.commit(x, lagged, g)
     starts = [x + np.where(free, 0.0, r.model.prescribed(travel)[0] - place) for r in beside]
     _bring(beside, starts, g, tangent)
     return moved / RATE
+
+
+def _polished(run: _Run, x: FloatArray, tangent: _WholeTangent) -> At:
+    """Newton's method to where lagged values are those of x itself; the tangent is factorised there.
+
+    A run leaves a residual, and anchors friction at its iterates. Where Newton's method does not
+    end nearby, x is kept.
+    """
+    here = end = run.at(x)
+    for _ in range(NEWTON):
+        tangent.factor(end[0], run.memory, end[1])
+        step = tangent.solve(end[2][tangent.free])
+        if np.abs(step).max(initial=0.0) < NEAR:
+            return end
+        near = end[0].copy()
+        near[tangent.free] -= step
+        end = run.at(near)
+    tangent.factor(x, run.memory, here[1])
+    return here
 
 
 def _bring(
