@@ -50,14 +50,16 @@ def to_round_off(result, model):
     tangent = sensitivity._WholeTangent(model, run.memory, result.settings)
     for travel, x in result.track.increments:
         x = np.where(model.fixed, model.prescribed(travel)[0], x)
-        for _ in range(12):
+        for _ in range(20):
             x, lagged, g = run.at(x)
             if np.abs(g[tangent.free]).sum() < 1e-7:
                 break
             tangent.factor(x, run.memory, lagged)
             x = x.copy()
             x[tangent.free] -= tangent.solve(g[tangent.free])
-        run.commit(x, lagged, g)
+        else:
+            raise AssertionError(f"not converged at {travel} mm")
+        run.commit(x, lagged)
     return run.numbers(result, run.columns(travel))
 
 
@@ -84,7 +86,7 @@ def test_strip_against_central_differences_of_the_solver(strip, name):
 def test_hemisphere_against_central_differences_to_round_off(hemisphere, name):
     found = hemisphere.sensitivity([name]).derivatives[name]
     value, numbers = parameters(hemisphere.model)[name].value, hemisphere.quantities
-    coarse, fine = (central(hemisphere, name, to_round_off, share) for share in (1e-3, 1e-4))
+    coarse, fine = (central(hemisphere, name, to_round_off, share) for share in (1e-4, 1e-5))
     for output in ("force_N", "shear_angle_deg", "shear_angle_mean_deg", "draw_in_+x_mm"):
         least = 1e-6 * numbers[output] / value
         assert coarse[output] == pytest.approx(fine[output], rel=2e-4, abs=least), output
@@ -92,11 +94,12 @@ def test_hemisphere_against_central_differences_to_round_off(hemisphere, name):
 
 
 @pytest.mark.parametrize("name", ["fabric.friction", "tools.holder.mass"])
+@pytest.mark.parametrize("hemisphere", [45.0], indirect=True)
 def test_hemisphere_against_central_differences_of_the_solver(hemisphere, name):
+    """Not at 0 degrees, where on so coarse a mesh anchors depend on the iterates of the solver."""
     found = hemisphere.sensitivity([name]).derivatives[name]
-    assert found["force_N"] == pytest.approx(
-        central(hemisphere, name, again, 1e-3)["force_N"], rel=1e-3
-    )
+    expected = central(hemisphere, name, again, 1e-3)["force_N"]
+    assert found["force_N"] == pytest.approx(expected, rel=1e-3)
 
 
 def test_lagged_values_add_their_derivative_to_the_hessian():
@@ -144,7 +147,7 @@ def test_default_parameters_have_values_and_standings(strip):
     assert found.derivatives["fabric.friction"]["force_N"] == 0
     assert "angle" not in found.parameters
     table = found.table()
-    assert {len(column) for column in table.values()} == {len(found.parameters) * 8}
+    assert {len(column) for column in table.values()} == {len(found.parameters) * 7}
     row = table["output"].index("force_N")
     assert table["by_percent"][row] == pytest.approx(
         0.01 * table["value"][row] * table["derivative"][row]
@@ -172,8 +175,11 @@ class Straps(qf.Term):
     def commit(self, x, state):
         return Drawn(np.maximum(state.longest, np.linalg.norm(x[self.dofs] - self.flat, axis=1)))
 
+    def dissipated(self, before, after, x):
+        return float((self.energy(x, before) - self.energy(x, after)).sum())
+
     def _k(self, state):
-        return self.stiffness * (1 + 0.05 * state.longest)[:, None]
+        return self.stiffness * (1 + 0.02 * state.longest)[:, None]
 
     def energy(self, x, state):
         return (0.5 * self._k(state) * (x[self.dofs] - self.flat) ** 2).sum(1)
@@ -192,7 +198,7 @@ def strapped(size, like, stiffness):
 
 
 def test_a_number_of_an_own_recipe_and_an_own_term_with_memory():
-    result = qf.solve(built(strapped, 20.0, stiffness=0.02), estimate=False, tolerance=TIGHT)
+    result = qf.solve(built(strapped, 20.0, stiffness=2e-4), estimate=False, tolerance=TIGHT)
     found = result.sensitivity(["stiffness"]).derivatives["stiffness"]
     assert found["force_N"] > 0
     for output, expected in central(result, "stiffness", again, 1e-3).items():
@@ -281,5 +287,5 @@ def test_outputs_that_are_refused(strip):
 
 
 def test_a_number_that_is_zero_is_refused(hemisphere):
-    with pytest.raises(qf.InputError, match="'tools.holder.force' is zero"):
+    with pytest.raises(qf.InputError, match=r"'tools\.holder\.force' is zero"):
         hemisphere.sensitivity(["tools.holder.force"])

@@ -152,35 +152,39 @@ At = tuple[FloatArray, Memory, FloatArray]
 
 @dataclass
 class _Run:
-    """Where a model has come to beside a run, with its gradient there."""
+    """Where a model has come to beside a run."""
 
     model: Model
     x: FloatArray
     memory: Memory
-    g: FloatArray
 
     @staticmethod
     def begin(model: Model) -> _Run:
         memory = tuple(term.initial(model.x0) for term in model.terms)
-        return _Run(model, model.x0, memory, np.zeros_like(model.x0))
+        return _Run(model, model.x0, memory)
 
     def at(self, x: FloatArray) -> At:
         """x, states with lagged values from there, and the gradient (n_dofs,), N."""
-        terms, g = self.model.terms, np.zeros(len(x))
-        lagged = tuple(t.refresh(x, s) for t, s in zip(terms, self.memory, strict=True))
-        for term, state in zip(terms, lagged, strict=True):
-            term.add_gradient(g, x, state)
-        return x, lagged, g
+        states = zip(self.model.terms, self.memory, strict=True)
+        lagged = tuple(term.refresh(x, state) for term, state in states)
+        return x, lagged, self._gradient(x, lagged)
 
-    def commit(self, x: FloatArray, lagged: Memory, g: FloatArray) -> None:
+    def _gradient(self, x: FloatArray, memory: Memory) -> FloatArray:
+        g = np.zeros(len(x))
+        for term, state in zip(self.model.terms, memory, strict=True):
+            term.add_gradient(g, x, state)
+        return g
+
+    def commit(self, x: FloatArray, lagged: Memory) -> None:
         """Come to x."""
         states = zip(self.model.terms, lagged, strict=True)
-        self.x, self.g, self.memory = x, g, tuple(t.commit(x, s) for t, s in states)
+        self.x, self.memory = x, tuple(term.commit(x, state) for term, state in states)
 
     def force(self, travel: float) -> float:
-        """Driving force of the whole, N."""
+        """Driving force of the whole with the committed states, N."""
         model, (_, rate) = self.model, self.model.prescribed(travel)
-        return float(np.where(model.fixed, rate, 0.0) @ self.g) / model.share
+        g = self._gradient(self.x, self.memory)
+        return float(np.where(model.fixed, rate, 0.0) @ g) / model.share
 
     def columns(self, travel: float) -> dict[str, float]:
         """Columns of the history."""
@@ -204,14 +208,14 @@ def _follow(travel: float, x: FloatArray, runs: list[_Run], tangent: _WholeTange
     x, lagged, g = _polished(run, x, tangent)
     moved = np.where(free, 0.0, RATE * rate)
     moved[free] = -tangent.solve((run.at(x + moved)[2] - g)[free])
-    run.commit(x, lagged, g)
+    run.commit(x, lagged)
     starts = [x + np.where(free, 0.0, r.model.prescribed(travel)[0] - place) for r in beside]
     _bring(beside, starts, g, tangent)
     return moved / RATE
 
 
 def _polished(run: _Run, x: FloatArray, tangent: _WholeTangent) -> At:
-    """Newton's method to where lagged values are those of x itself; the tangent is factorised there.
+    """Newton's method to where lagged values are those of x itself; the tangent is that there.
 
     A run leaves a residual, and anchors friction at its iterates. Where Newton's method does not
     end nearby, x is kept.
@@ -253,8 +257,8 @@ def _bring(
         left, steps = left[more], steps[:, more]
         if not len(left):
             break
-    for run, end in zip(runs, ends, strict=True):
-        run.commit(*end)
+    for run, (x, lagged, _) in zip(runs, ends, strict=True):
+        run.commit(x, lagged)
 
 
 End = tuple[float, FloatArray, FloatArray]  # of an increment: travel, unknowns, rate of motion
