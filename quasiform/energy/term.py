@@ -125,10 +125,8 @@ class Term:
     def through_refresh(
         self, x: FloatArray, before: Any, state: Any
     ) -> tuple[IntArray, FloatArray] | None:
-        """Derivative of the gradient by the unknowns through the lagged values: rows, (r, k, k).
-
-        `state` is `refresh(x, before)`. It need not be symmetric. None where it is zero.
-        """
+        """Derivative (r, k, k) of the gradient through `state` = refresh(x, before), and its rows."""
+        # not symmetric in general; None where it is zero
         if type(self).refresh is Term.refresh:
             return None
         raise InputError(f"term '{self.name}' has lagged values, but no `through_refresh`")

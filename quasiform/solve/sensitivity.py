@@ -32,8 +32,8 @@ from .linear import linear_solver, mirrored
 from .parameters import Parameter, named, parameters, with_value
 
 STEP = 3e-5  # h relative to the value of a parameter
-LEFT = 1e-4  # of the first step of a neighbour: a smaller one is not taken
-MOST = 3  # steps of a neighbour in an increment
+LEFT = 1e-4  # of the first step of a neighbour: after a shorter one nothing is evaluated anew
+MOST = 4  # steps of a neighbour in an increment
 ROUND_OFF = 1e-12  # mm, of unknowns
 NEWTON, NEAR = 8, 1e-5  # factorisations an increment at most, and the step in mm that ends them
 RATE = 1e-4  # mm of travel, by which the rate of motion is found
@@ -237,26 +237,22 @@ def _bring(
     runs: list[_Run], starts: list[FloatArray], wanted: FloatArray, tangent: _WholeTangent
 ) -> None:
     """Solve for the free gradient `wanted` (n_dofs,) in each run, from where it starts; commit."""
-    if not runs:
-        return
     free, ends = tangent.free, [run.at(x) for run, x in zip(runs, starts, strict=True)]
-
-    def steps_of(left: IntArray) -> tuple[FloatArray, FloatArray]:
-        steps = tangent.solve(np.stack([(ends[i][2] - wanted)[free] for i in left], axis=1))
-        return steps, np.abs(steps).max(axis=0, initial=0.0)
-
     left = np.arange(len(runs))
-    steps, first = steps_of(left)
+    enough = np.zeros(len(runs))
     for _ in range(MOST):
+        if not len(left):
+            break
+        steps = tangent.solve(np.stack([(ends[i][2] - wanted)[free] for i in left], axis=1))
         for i, step in zip(left, steps.T, strict=True):
             x = ends[i][0].copy()
             x[free] -= step
-            ends[i] = runs[i].at(x)
-        steps, longest = steps_of(left)
-        more = longest > LEFT * first[left] + ROUND_OFF
-        left, steps = left[more], steps[:, more]
-        if not len(left):
-            break
+            ends[i] = x, *ends[i][1:]
+        longest = np.abs(steps).max(axis=0, initial=0.0)
+        left = left[longest > enough[left]]  # the last step of the others is too short to matter
+        for i in left:
+            ends[i] = runs[i].at(ends[i][0])
+        enough = enough if enough.any() else LEFT * longest + ROUND_OFF
     for run, (x, lagged, _) in zip(runs, ends, strict=True):
         run.commit(x, lagged)
 
