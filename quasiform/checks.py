@@ -29,15 +29,17 @@ def force_column(travel: str) -> str:
     return "force_N" if travel.endswith("_mm") else "load_work_mJ"
 
 
-def number(value: float, digits: int = 4) -> str:
+def number(value: float, digits: int = 4, zero: float = 0.0) -> str:
     """A number to some significant digits, without an exponent where people write none.
+
+    What is smaller than `zero` is written as 0.
 
     Examples
     --------
-    >>> number(112.3, 2), number(0.01234), number(123456.0)
-    ('110', '0.01234', '123500')
+    >>> number(112.3, 2), number(0.01234), number(123456.0), number(48.4346), number(-1e-5, 4, 1e-3)
+    ('110', '0.01234', '123500', '48.43', '0')
     """
-    return f"{float(f'{value:.{digits}g}'):.15g}"
+    return "0" if abs(value) < zero else f"{float(f'{value:.{digits}g}'):.15g}"
 
 
 class InputError(ValueError):

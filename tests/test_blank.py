@@ -386,8 +386,9 @@ def test_cells_cut_by_a_fitted_outline_keep_a_right_corner(angle):
 def test_a_cut_rectangle_is_the_rectangle(orientation):
     through = ((0.0, 0.0),)
     for mirror in ((), ("x", "y")) if orientation % 90 == 0 else ((),):
-        direct = rectangle(100.0, 100.0, 7.0, orientation, through=through, mirror=mirror)
-        blank = cut(outlines.rectangle(100.0, 100.0), 7.0, orientation, through, mirror)
+        size = 50.0 / 7.0  # fits; `rectangle` spaces its lines evenly at any size
+        direct = rectangle(100.0, 100.0, size, orientation, through=through, mirror=mirror)
+        blank = cut(outlines.rectangle(100.0, 100.0), size, orientation, through, mirror)
         assert triangle_set(blank.nodes, blank.triangles) == triangle_set(
             direct.nodes, direct.triangles
         )
@@ -405,6 +406,21 @@ def test_lines_run_through_corners_extremes_and_points_asked_for():
     for angle in (30, 120, 210, 300):
         at = 50.0 * rotation(angle)[:, 0]
         assert np.linalg.norm(disc.nodes - at, axis=1).min() < 1e-9
+
+
+@pytest.mark.parametrize("mirror", [(), ("x", "y")])
+def test_lines_stay_where_they_are_when_the_outline_changes(mirror):
+    """They belong to the cloth: only the last cell follows the edge."""
+    inner = []
+    for side in (310.0, 309.5, 309.0, 304.0):
+        outline = outlines.rectangle(side, side)
+        blank = cut(outline, 10.0, through=((0.0, 0.0),), mirror=mirror)
+        check_mesh(blank.unfolded()[0], outline, 10.0)
+        assert_array_equal(fibre_legs(blank), 2)
+        found = np.unique(blank.nodes.round(9))
+        assert found[-1] == 0.5 * side
+        inner.append(found[np.abs(found) < 141])
+    assert_allclose(inner, [10.0 * np.arange(0 if mirror else -14, 15)] * 4)
 
 
 def test_lines_of_near_corners_are_shared():

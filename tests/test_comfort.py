@@ -255,7 +255,7 @@ CHOICES = {
     ("oat", "linear"): linear.NAMES,
     ("form", "linear"): linear.NAMES,
     ("identify", "method"): campaign.METHODS,
-    ("identify", "kind"): campaign.KINDS,
+    ("identify", "kind"): [*campaign.KINDS, *campaign.OF_BENDING],
     ("identify", "algorithm"): fit.ALGORITHMS,
     ("compare", "align"): comparison.ALIGN,
     ("compare", "standing"): comparison.STANDINGS,

@@ -259,7 +259,8 @@ def test_rescues_of_all_levels_are_added(monkeypatch):
 def test_the_default_mesh_resolves_the_smallest_fillet():
     for name in ("hemisphere", "tetrahedron", "box"):
         model = qf.forming(name)
-        assert model.size == model.coarsest == 4.0  # 0.4 of 10 mm
+        assert model.coarsest == 4.0  # 0.4 of 10 mm
+        assert model.size == 155 / 39  # which fits half of the blank
         assert not model.changed
     assert qf.forming(wide_fillets()).size == 5.0  # nothing finer is needed
     assert qf.forming("hemisphere", size=10.0).size == 10.0
@@ -272,7 +273,7 @@ def test_each_level_is_at_most_twice_as_fine_as_the_one_before(size, sizes):
 
 
 def test_coarse_meshes_are_named_in_the_certificate():
-    coarse = qf.solve(qf.forming("hemisphere", size=10, travel=20), estimate=False).certified
+    coarse = qf.solve(qf.forming("hemisphere", size=15.5, travel=20), estimate=False).certified
     assert coarse.converged
     assert not coarse
     assert "too coarse for the radius of 10.0 mm" in str(coarse)

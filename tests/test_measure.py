@@ -14,7 +14,7 @@ from quasiform.model import Model
 from quasiform.net import outline
 from quasiform.net.blank import cut, rectangle, rotation
 from quasiform.net.edges import disc, edge_points
-from quasiform.result.measures import percentile, shear_gradient
+from quasiform.result.measures import percentile, shear_gradient, waves
 from quasiform.result.stability import local_waves, shear_stability
 from quasiform.tools.shapes import Plane, Tool
 from quasiform.unknowns import Unknowns
@@ -300,3 +300,14 @@ def test_compressed_fibres_are_flagged_where_they_may_buckle(strain, size, tool,
         ratio = 2000.0 * (1 - (1 + strain) ** 2) / euler
         assert figures["compression_by_buckling_stress"] == pytest.approx(ratio, rel=1e-6)
         assert figures["compressed_share"] == pytest.approx(1.0)
+
+
+def test_waves_lower_than_the_limit_are_not_counted():
+    """A line of amplitude a and wavelength 40 mm has the curvature a (2 pi/40)^2 sin(2 pi s/40)."""
+    s = np.arange(0.0, 201.0, 2.0)
+    flat, along = np.c_[s, 0 * s], np.array([1.0, 0.0])
+    for height, found in ((0.14, (1, 40.0)), (0.08, (0, None))):
+        kappa = height * (2 * np.pi / 40) ** 2 * np.sin(2 * np.pi * s / 40)
+        assert waves(flat, along, kappa) == (1, pytest.approx(40.0))
+        assert waves(flat, along, kappa, 0.1) == found
+    assert waves(flat, along, np.full(len(s), np.nan)) == (0, None)

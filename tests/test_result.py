@@ -216,7 +216,7 @@ def test_the_certificate_is_true_or_false(strip):
 def test_trust_says_what_limits_the_numbers(strip):
     assert trust(strip) == []
     rough = replace(strip, estimate={"force_N": 0.3 * strip.force, "shear_angle_deg": 0.1})
-    assert trust(rough) == ["the mesh error of the force is 3.8 at a value of 12.6"]
+    assert trust(rough) == ["the mesh error of the force is 3.8 at a value of 12.6 N"]
     fabric = replace(strip.model.sheet.fabric, shear_range=5.0)
     sheet = replace(strip.model.sheet, fabric=fabric)
     (words,) = trust(replace(strip, model=replace(strip.model, sheets=[sheet])))

@@ -59,7 +59,9 @@ def contents(run: Record) -> dict[str, Any]:
     errors = summary.get("estimated_errors") or {}
     converged = summary["certificate"]["converged"]
     size = summary.get("path_size_mm")
-    how = f"{summary['triangles']} triangles" + (f", path on a {size:g} mm mesh" if size else "")
+    how, whole = f"{summary['triangles']} triangles", len(run.sheet.triangles)
+    how += f", mirrored to {whole}" if whole != summary["triangles"] else ""
+    how += f", path on a {size:g} mm mesh" if size else ""
     return {
         "title": f"{run.case}, {run.fabric_name}",
         "what": f"Computed by quasiform {summary.get('version', '')} on {how}: {travel} "

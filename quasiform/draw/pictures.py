@@ -25,7 +25,7 @@ from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from ..checks import InputError, force_column, suggestion
+from ..checks import InputError, force_column, number, suggestion
 from ..result.measures import percentile
 from ..result.record import Record
 from . import plot
@@ -163,7 +163,7 @@ def _head(
 ) -> None:
     words = f"{plot.travel_of(run)}, |γ| max {np.abs(run.sheet.shear_angle).max():.1f}°"
     if force and np.isfinite(run.force):
-        words += f"\nforce {round(run.force, 3) + 0.0:.4g} {run.force_unit}"
+        words += f"\nforce {number(run.force, zero=5e-4)} {run.force_unit}"
     if turned_over:
         words += ", seen from below" if force else "\nseen from below"
     axes.set_title("\n".join(textwrap.wrap(label, 40)) + "\n" + words, parse_math=False)

@@ -200,7 +200,7 @@ def _title(run: Record) -> str:
     off = {name: "" if e is None else f" ± {number(e, 2)}" for name, e in errors.items()}
     numbers = f"|γ| max {gamma['max']:.1f}°, p99 {gamma['p99']:.1f}{off['shear_angle_deg']}°"
     if unit == "N":
-        numbers += f" · {force} {number(round(summary['force_N'], 3) + 0.0)}{off['force_N']} N"
+        numbers += f" · {force} {number(summary['force_N'], zero=5e-4)}{off['force_N']} N"
     return "\n".join([" · ".join(case), numbers, textwrap.fill(verdict(run), 105)])
 
 

@@ -233,6 +233,9 @@ def cut(
 
     Fibre lines run through the points `through`, the corners (of more than 20°) and the extremes of
     the outline and its holes, in this order, unless one is there already within 0.4 of the spacing.
+    The others are `size` apart from the first of these on, so that they stay where they are when
+    the outline changes; they are evenly spaced between these where an edge is at 45° to the fibres,
+    which then runs along diagonals of the cells.
     The outline moves by at most a tenth of the spacing to meet the net. What is narrower than a
     seventh of the spacing can be lost: small holes, the ends of sharp tips.
 
@@ -241,7 +244,7 @@ def cut(
     outline : shapely.Polygon
         mm.
     size : float
-        Spacing of the fibre lines, mm; the nearest spacing that fits is taken.
+        Spacing of the fibre lines, mm; the nearest that fits where they are evenly spaced.
     orientation : float
         Angle of the warp to x, degrees.
     through : points, mm
@@ -281,11 +284,13 @@ def cut(
     corners = [_corners(ring, size) for ring in rings]
     extremes = [_extremes(*pair, size) for pair in zip(rings, corners, strict=True)]
     points = np.vstack([np.reshape(through, (-1, 2)) @ R, *corners, *extremes])
-    lines = []
+    lines, even = [], _on_diagonals(rings[0], size)
     for i in (0, 1):
         planes = [0.0 for plane in mirror if abs(R["xy".index(plane), i]) == 1]
         least = APART * min(size, np.ptp(rings[0][:, i]))
-        lines.append(_lines_through(_stops([*planes, *points[:, i]], least), size))
+        stops = _stops([*planes, *points[:, i]], least)
+        anchor = [*planes, *points[:, i]][0]
+        lines.append(_lines_through(stops, size) if even else _lines_from(anchor, stops, size))
     near = GIVE * min(size, max(np.diff(line).max() for line in lines))
     nodes, triangles = cut_net(lines, rings, near, GIVE, first)
     blank = Blank(nodes @ R.T, triangles, R[:, 0], R[:, 1], mirror)
@@ -365,6 +370,23 @@ def _stops(values: Iterable[float], least: float) -> FloatArray:
         if all(abs(value - other) > least for other in kept[max(at - 1, 0) : at + 1]):
             kept.insert(at, float(value))
     return np.array(kept)
+
+
+def _on_diagonals(ring: FloatArray, size: float) -> bool:
+    """Whether an edge of the outline is at 45° to the fibres, so that diagonals may tile it."""
+    edges = np.abs(np.roll(ring, -1, axis=0) - ring)
+    return bool((np.abs(edges[:, 0] - edges[:, 1]) < 1e-9 * edges.max())[edges[:, 0] > size].any())
+
+
+def _lines_from(anchor: float, stops: FloatArray, size: float) -> FloatArray:
+    """Coordinates of fibre lines `size` apart, one of them at the `anchor`, and at all `stops`.
+
+    A line nearer than `APART` to a stop gives way to it. Lines do not move with the outline.
+    """
+    low, high = np.ceil((stops[[0, -1]] - anchor) / size - 1e-9)
+    even = anchor + size * np.arange(low, high + 1)
+    near = np.abs(even[:, None] - stops).min(1) < APART * size
+    return np.sort(np.r_[even[~near], stops])
 
 
 def _lines_through(stops: FloatArray, size: float) -> FloatArray:

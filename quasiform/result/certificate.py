@@ -163,6 +163,11 @@ def one_of_many(result: Outcome) -> str:
     return "; ".join(signs)
 
 
+def unit(quantity: str) -> str:
+    """Unit of a quantity behind a number: `unit("draw_in_+x_mm")` is " mm"."""
+    return f" {quantity.rpartition('_')[2]}".replace(" deg", "°")
+
+
 def spoken(quantity: str) -> str:
     """Name of a quantity in a sentence.
 
@@ -174,7 +179,7 @@ def spoken(quantity: str) -> str:
     known = {
         "force_N": "the force",
         "load_work_mJ": "the work of the load",
-        "shear_angle_deg": "the largest shear angles (p99)",
+        "shear_angle_deg": "the shear angle (p99)",
         "shear_angle_mean_deg": "the mean shear angle",
     }
     kind, _, place = quantity.rpartition("_")[0].replace("draw_in", "draw-in").partition("_")
@@ -208,7 +213,7 @@ def trust(result: Outcome) -> list[str]:
         error, value = errors[name]
         found.append(
             f"the mesh error of {spoken(name)} is {number(error, 2)} at a value of "
-            f"{number(value, 3)}"
+            f"{number(value, 3)}{unit(name)}"
         )
     if not any(error is not None for error in result.estimate.values()):
         found.append("the mesh error is not known")
@@ -217,7 +222,7 @@ def trust(result: Outcome) -> list[str]:
         if result.estimate.get(name) and abs(value - changed) > result.estimate[name]:
             found.append(
                 f"{spoken(name)} depends on in_plane_bending (assumed): {number(value)} with {r}, "
-                f"{number(changed)} with {other}"
+                f"{number(changed)}{unit(name)} with {other}"
             )
     for reason, flag in doubts.items():
         if reason in LIMITED and (share := areas @ flag) >= SHARE:

@@ -47,22 +47,33 @@ def shear_gradient(blank: Blank, gamma: FloatArray) -> FloatArray:
     return np.linalg.norm(grad, axis=0)
 
 
-def waves(flat: FloatArray, along: FloatArray, curvature: FloatArray) -> tuple[int, float | None]:
+def waves(
+    flat: FloatArray, along: FloatArray, curvature: FloatArray, least: float = 0.0
+) -> tuple[int, float | None]:
     """Count the fibre lines of a family that wave, and measure their wavelength.
 
     A line that a tool bends turns its curvature twice, from the flange to the punch and back; one
-    that waves does so at least four times. Curvature below a tenth of the largest is no wave.
+    that waves does so at least four times. Curvature below a tenth of the largest is no wave, nor
+    is a half-wave of curvature κ and length d whose height κ (d/π)² is below `least`, mm.
     `flat` (n, 2) are the nodes of the flat sheet (mm), `along` (2,) is the direction of the family
     and `curvature` (n,) its normal curvature (1/mm), nan where it has none. The wavelength is twice
     the median distance of inflections on these lines, on the flat sheet, mm.
     """
     bent = np.abs(curvature) > 0.1 * np.nanmax(np.abs(curvature), initial=0.0)
+    if not bent.any():
+        return 0, None
     t = np.round(flat[bent] @ [along[1], -along[0]], 6)
     s, kappa = flat[bent] @ along, curvature[bent]
     order = np.lexsort((s, t))
     s, t, kappa = s[order], t[order], kappa[order]
-    turns = (t[1:] == t[:-1]) & (kappa[1:] * kappa[:-1] < 0)
-    at, line = 0.5 * (s[1:] + s[:-1])[turns], t[1:][turns]
+    begins = np.r_[True, (t[1:] != t[:-1]) | (kappa[1:] * kappa[:-1] < 0)]
+    first = np.flatnonzero(begins)  # of each half-wave
+    last = np.r_[first[1:], len(t)] - 1
+    spacing = np.median(np.diff(np.unique(np.round(flat @ along, 6))))
+    height = np.maximum.reduceat(np.abs(kappa), first)
+    height *= ((last - first + 1) * spacing / np.pi) ** 2
+    turns = np.flatnonzero((t[last[:-1]] == t[first[1:]]) & (height[:-1] >= least))
+    at, line = 0.5 * (s[last[turns]] + s[first[turns + 1]]), t[first[turns]]
     lines, count = np.unique(line, return_counts=True)
     wavy = lines[count >= 4]
     keep = np.isin(line, wavy)
@@ -148,7 +159,8 @@ def wrinkles(model: Model, x: FloatArray) -> dict[str, float | None]:
             if contact.tool.motion != "free":
                 at_nodes[contact.nodal_force(x) > 0] = np.nan
         for f, family in enumerate(("warp", "weft")):
-            lines, wavelength = waves(blank.nodes, getattr(blank, family), at_nodes[source, f])
+            bent = blank.nodes, getattr(blank, family), at_nodes[source, f]
+            lines, wavelength = waves(*bent, LIFTED * term.sheet.fabric.thickness)
             found[f"waving_{family}_lines"] = lines
             found[f"{family}_wavelength_mm"] = wavelength
         if not model.contacts:

@@ -74,7 +74,7 @@ class Outcome:
     def add_work(self, other: Outcome, failed: int = 0) -> None:
         """Add the factorisations of another run, and of a failed try on this mesh."""
         counts = Counter(self.factorisations)
-        counts.update({f"{self.model.size:g} mm": failed})
+        counts.update({f"{self.model.size:.3g} mm": failed})
         counts.update(other.factorisations)
         self.factorisations = dict(counts)
 
@@ -99,10 +99,10 @@ class Outcome:
         if self.path is None:
             return [*self.model.description, *self.notes]
         why = (
-            f"only the end is solved at {self.model.size:g} mm; the forces along the travel come "
+            f"only the end is solved at {self.model.size:.3g} mm; the forces along the travel come "
             "from there (--size keeps one mesh)"
         )
-        followed = (f"path on a mesh of {self.path.model.size:g} mm", why)
+        followed = (f"path on a mesh of {self.path.model.size:.3g} mm", why)
         return [*self.model.description, *self.notes, followed]
 
     @property

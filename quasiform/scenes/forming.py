@@ -118,9 +118,15 @@ def forming(
     given |= {"file": file, "name": name, "fabric": fabric}
     model = built(formed_between_tools, SIZE if size is None else size, **given)
     if size is None and 0 < model.coarsest < SIZE and not isinstance(file.mesh, Path):
-        size = max(model.coarsest, LEAST)
+        size = fitting(max(model.coarsest, LEAST), file.outline)
         model = replace(model.recipe, size=size).build(like=model)
     return model
+
+
+def fitting(size: float, outline: shapely.Polygon) -> float:
+    """Return the spacing next to `size` that fits half of the shorter side of an outline, mm."""
+    half = 0.5 * float(np.ptp(np.reshape(outline.bounds, (2, 2)), axis=0).min())
+    return half / max(round(half / size), 1)
 
 
 def formed_between_tools(

@@ -74,7 +74,7 @@ def finer_end(
         try:
             finer = carry(result, model, settings, saddles)
         except NotConvergedError as error:
-            result.factorisations[f"{model.size:g} mm"] = error.work
+            result.factorisations[f"{model.size:.3g} mm"] = error.work
             if any(state is not None for state in result.memory):
                 result.notes.append(("end not found on a finer mesh", str(error)))
                 return None
@@ -87,7 +87,9 @@ def finer_end(
     result.add_work(finer)
     if finer.energy > (1 + HIGHER) * result.energy:
         more = 100 * (finer.energy / result.energy - 1)
-        why = f"{more:.1f} % more energy at {model.size:g} mm; the error is that to a coarser mesh"
+        why = (
+            f"{more:.1f} % more energy at {model.size:.3g} mm; the error is that to a coarser mesh"
+        )
         result.notes.append(("end on a finer mesh is another state", why))
         return None
     return finer

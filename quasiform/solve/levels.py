@@ -198,7 +198,9 @@ def _refined(
         except InputError:  # too coarse for the blank
             break
     if journal and len(models) > 1:
-        journal.goal = f" on a mesh of {models[0].size:g} mm, the way to one of {model.size:g} mm"
+        journal.goal = (
+            f" on a mesh of {models[0].size:.3g} mm, the way to one of {model.size:.3g} mm"
+        )
     path = follow(models[0], settings, callback, journal)
     levels = [path]
     if journal and estimate and len(models) == 1 and not path.reason:
@@ -207,14 +209,14 @@ def _refined(
     for finer in models[1:]:
         if levels[-1].reason:
             break
-        report(callback, f"the end on a mesh of {finer.size:g} mm")
+        report(callback, f"the end on a mesh of {finer.size:.3g} mm")
         try:
             result = _end(levels[-1], finer, callback, settings)
         except KeyboardInterrupt:
-            levels[-1].reason = f"interrupted on a mesh of {finer.size:g} mm"
+            levels[-1].reason = f"interrupted on a mesh of {finer.size:.3g} mm"
             break
         if result.reason:  # what was completed is not lost
-            levels[-1].reason = f"on a mesh of {finer.size:g} mm: {result.reason}"
+            levels[-1].reason = f"on a mesh of {finer.size:.3g} mm: {result.reason}"
             break
         levels.append(result)
     if not estimate:
@@ -250,7 +252,7 @@ def _end(source: Result, model: Model, callback: Callback | None, settings: Sett
     try:
         result = carry(source, model, settings)
     except NotConvergedError as error:
-        report(callback, f"its end was not found: the path on a mesh of {model.size:g} mm")
+        report(callback, f"its end was not found: the path on a mesh of {model.size:.3g} mm")
         result, failed = follow(model, settings, callback), error.work
         result.rescues["path followed on the finer mesh"] = 1
     result.add_work(source, failed)
@@ -277,7 +279,7 @@ def _with_path_gap(
     scale = 1.0 / (coarse.model.size / path.model.size - 1.0)  # as for an error of first order
     gap = {n: scale * abs(ends[0][n] - ends[1][n]) for n in ends[0] if n in ends[1]}
     if gap[finest.force_name] > GAP * abs(result.force) or gap["shear_angle_deg"] > GAP_DEG:
-        report(callback, f"friction's path matters: followed on a mesh of {finest.size:g} mm")
+        report(callback, f"friction's path matters: followed on a mesh of {finest.size:.3g} mm")
         followed = follow(finest, settings, callback)
         followed.add_work(result)
         if not followed.reason:
@@ -296,4 +298,4 @@ def _check_accuracy(result: Result, accuracy: float | None) -> None:
     if error is None:
         result.reason = f"{wanted}: no estimate of the error"
     elif error > accuracy:
-        result.reason = f"{wanted} not reached: estimated {error:.2g} at a size of {size:g} mm"
+        result.reason = f"{wanted} not reached: estimated {error:.2g} at a size of {size:.3g} mm"

@@ -284,7 +284,7 @@ class Run:
             reason=reason,
             wall_s=wall,
             linear_solves=tangent.factorisations,
-            factorisations={f"{self.model.size:g} mm": tangent.factorisations},
+            factorisations={f"{self.model.size:.3g} mm": tangent.factorisations},
             purposes=dict(tangent.counts),
             increments=account.increments,
             rescues=account.rescues | {rung: times for rung, times in own.items() if times},
