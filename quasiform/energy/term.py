@@ -125,7 +125,7 @@ class Term:
     def through_refresh(
         self, x: FloatArray, before: Any, state: Any
     ) -> tuple[IntArray, FloatArray] | None:
-        """Derivative (r, k, k) of the gradient through `state` = refresh(x, before), and its rows."""
+        """Derivative (r, k, k) of the gradient through state = refresh(x, before), and its rows."""
         # not symmetric in general; None where it is zero
         if type(self).refresh is Term.refresh:
             return None
