@@ -357,6 +357,10 @@ class Contact(AtPoints):
         """(m,) contact pressure, MPa."""
         return self._law(self.penetration(x))[1]
 
+    def stiffness_at(self, p: FloatArray) -> FloatArray:
+        """(m,) φ'' at penetrations, N/mm³."""
+        return self._law(p)[2]
+
     def nodal_force(self, x: FloatArray) -> FloatArray:
         """(n_nodes,) normal contact force spread to the nodes, N."""
         force = (self.area * self.pressure(x))[:, None] * self.points.weights.mean(2)

@@ -78,6 +78,42 @@ class Friction(AtPoints):
             anchor=np.where(known, state.anchor, anchor),
         )
 
+    def through_refresh(
+        self, x: FloatArray, before: Rubbing, state: Rubbing
+    ) -> tuple[IntArray, FloatArray]:
+        """Through n, λ and the place of first touch, by the position y in the tool's frame.
+
+            ∂f/∂s · [-(n ⊗ r + (r·n) 1) ∂n/∂y - P ∂anchor/∂y] + t ⊗ μ ∂λ/∂y
+
+        The last part where the point slips; r = y - anchor, P = 1 - n n', t is its direction.
+        """
+        contact, rows = self.contact, np.flatnonzero(state.limit > 0)
+        y, d, slope, curvature = (values[rows] for values in contact.at(x))
+        n, limit, stick = state.normal[rows], state.limit[rows], self.stick[rows]
+        s, length = self._slide(contact.relative(x), state, rows)
+        arm = np.nan_to_num(y - state.anchor[rows])
+        eye = np.eye(3)
+        P = eye - n[:, :, None] * n[:, None, :]
+        dn = P @ curvature / np.linalg.norm(slope, axis=1)[:, None, None]
+        along = (arm * n).sum(1)[:, None, None]
+        ds = -(n[:, :, None] * arm[:, None, :] + along * eye) @ dn
+        # the anchor of a point in touch since the last commit: where its path met the tool
+        p0, p, path = before.p[rows], contact.reach[rows] - d, y - before.points[rows]
+        fresh = p0 <= 0
+        over = np.where(fresh, p - p0, 1.0)
+        part, rate = np.where(fresh, -p0 / over, 0.0), np.where(fresh, p0 / over**2, 0.0)
+        ds -= P @ (part[:, None, None] * eye - (rate[:, None] * path)[:, :, None] * slope[:, None])
+        t = s / np.maximum(length, 1e-300)[:, None]
+        slips = (stick * length > limit)[:, None, None]
+        reach = (limit / np.maximum(length, 1e-300))[:, None, None]
+        by_slide = np.where(
+            slips, reach * (eye - t[:, :, None] * t[:, None, :]), stick[:, None, None] * eye
+        )
+        stiff = contact.tool.friction * contact.area[rows] * contact.stiffness_at(p)
+        by_force = -t[:, :, None] * (stiff[:, None] * slope)[:, None, :]
+        local = by_slide @ ds + np.where(slips, by_force, 0.0)
+        return rows, contact.pull_back_stiffness(x, local, None, rows)
+
     def commit(self, x: FloatArray, state: Rubbing) -> Rubbing:
         """Move the anchors of slipping points; points that left the tool lose theirs."""
         points, p = self.contact.relative(x), self.contact.penetration(x)

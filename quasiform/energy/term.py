@@ -9,6 +9,7 @@ Evaluating changes nothing. A term with memory has a state, a frozen dataclass o
 
     initial(x)                     -> state    at the start of a run; None: no memory
     refresh(x, state)              -> state    lagged values, between Newton's solves
+    through_refresh(x, before, state)          what `refresh` adds to the Hessian, for sensitivities
     commit(x, state)               -> state    after a converged increment
     dissipated(before, after, x)   -> float    mJ lost between two committed states, the last at x
     carried(state, old, new)       -> state    onto another mesh
@@ -121,6 +122,15 @@ class Term:
     def refresh(self, x: FloatArray, state: Any) -> Any:
         """State with lagged values taken from x, between two solves of Newton's method."""
         return state
+
+    def through_refresh(
+        self, x: FloatArray, before: Any, state: Any
+    ) -> tuple[IntArray, FloatArray] | None:
+        """Derivative (r, k, k) of the gradient through state = refresh(x, before), and its rows."""
+        # not symmetric in general; None where it is zero
+        if type(self).refresh is Term.refresh:
+            return None
+        raise InputError(f"term '{self.name}' has lagged values, but no `through_refresh`")
 
     def commit(self, x: FloatArray, state: Any) -> Any:
         """State after a converged increment that ends at x."""

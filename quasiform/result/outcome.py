@@ -64,6 +64,7 @@ class Outcome:
     factorisations: dict[str, int] = field(default_factory=dict)
     purposes: dict[str, int] = field(default_factory=dict)
     memory: tuple[Any, ...] = ()
+    track: Any = None
     notes: list[tuple[str, str]] = field(default_factory=list)
 
     def __post_init__(self) -> None:

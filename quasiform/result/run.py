@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ..checks import InputError
 from .certificate import Certificate, certify, one_of_many
 from .estimate import judged
 from .files import SCENE, replaced
@@ -84,6 +86,8 @@ class Result(Outcome):
         where the exact tangent was not positive definite.
     memory : tuple
         States of the terms at the end.
+    track : solve.sensitivity.Track or None
+        Its converged increments.
     notes : list of (entry, reason)
         What else to say of how it was solved.
     """
@@ -130,6 +134,62 @@ class Result(Outcome):
             "estimated_error": [self.estimate.get(name) for name in found],
             "unit": [name.rpartition("_")[2].replace("deg", "°") for name in found],
         }
+
+    def sensitivity(
+        self, parameters: Iterable[str] | None = None, outputs: Iterable[str] | None = None
+    ) -> Any:
+        """Derivatives of the numbers of the run by parameters, along its path.
+
+        Where only the end was solved on this mesh, those of the path, on its mesh.
+
+        Parameters
+        ----------
+        parameters : iterable of str, optional
+            Dotted names as in `overrides` (`fabric.friction`, `tools.holder.mass`), or their last
+            parts; all numbers of the fabric, the tools and the grippers if not given.
+        outputs : iterable of str, optional
+            Of the `quantities` and the columns of the history; all if not given.
+
+        Returns
+        -------
+        solve.sensitivity.Sensitivity
+
+        Raises
+        ------
+        InputError
+            For unknown names, and where the run has no derivative: it was stopped, is not
+            converged, or the sheet jumped or buckled on the way.
+        """
+        run = self.path or self
+        if run.track is None:
+            raise InputError("no sensitivities: this result holds no increments")
+        return run.track.sensitivity(run, parameters, outputs)
+
+    def parameter_errors(self, given: Mapping[str, float]) -> dict[str, dict[str, float | None]]:
+        """What is known of the error of each of the `quantities`: of the mesh, and by parameters.
+
+        Parameters
+        ----------
+        given : dict of parameter to float
+            What each is uncertain by (a standard deviation, say), in its own unit.
+
+        Returns
+        -------
+        dict by quantity
+            `value`, `mesh` (None if not estimated), the change by each parameter, and `total`, the
+            root of the sum of their squares: errors count as small and independent.
+
+        Raises
+        ------
+        InputError
+            As `sensitivity` does.
+        """
+        found, parts = {}, self.sensitivity(given, self.quantities).errors(given)
+        for name, value in self.quantities.items():
+            mesh, by = self.estimate.get(name), parts[name]
+            total = float(np.hypot.reduce([mesh or 0.0, *by.values()]))
+            found[name] = {"value": value, "mesh": mesh, **by, "total": total}
+        return found
 
     def judge(self, coarser: list[Result], finer: Result | None = None) -> None:
         """Estimate the error of the mesh from results on others, as `estimate.judged` does."""

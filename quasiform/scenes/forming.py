@@ -143,7 +143,7 @@ def _own_outline(file: SceneFile) -> shapely.Polygon:
 def formed_between_tools(
     size: float, like: Model | None, file: SceneFile, name: str, fabric: Fabric, **given: Any
 ) -> Model:
-    """Build the model of a forming scene, with the tools of a model `like` it if there is one."""
+    """Build the model of a forming scene, with what a model `like` it has read from files."""
     orientation, travel, symmetry = (given[n] for n in ("orientation", "travel", "symmetry"))
     description = [("bending of warp and weft lines", "the sheet leaves its plane")]
     own = None
@@ -157,13 +157,18 @@ def formed_between_tools(
     usual = usual_length(outline)
     increments = {"largest": file.increment or usual, "rows": file.rows or usual}
     check_increments(travel, **increments)
-    tools, from_files = like.tools if like else _tools(file, fabric, outline)
+    from_files = like.tools[1] if like else _from_files(file, fabric, outline)
+    tools = [_tool(part, fabric, from_files.get(part.name)) for part in file.tools]
     for read in from_files.values():
         description += read.description(tools, outline, travel)
     description += blank_from_file(file, own, outline, tools, from_files)
     if not like:
         check_clearance(tools, from_files, outline, fabric.thickness, travel)
-    mirror, why = mirror_planes(file, tools, outline, orientation, travel, symmetry, fabric)
+    mirrored = like and like.tools[2]
+    mirrored = mirrored or mirror_planes(
+        file, tools, outline, orientation, travel, symmetry, fabric
+    )
+    mirror, why = mirrored
     description += why
     frame = orientation if mirror else 0.0
     blank = own or _mesh(file.mesh, outline, size, frame, orientation - frame, mirror)
@@ -197,7 +202,7 @@ def formed_between_tools(
         areas=dict(file.areas),
         outputs=file.outputs,
         files=like.files if like else checksums(file.files() + file.texts()),
-        tools=(tools, from_files),
+        tools=(tools, from_files, mirrored),
         coarsest=FINE * min((getattr(tool.shape, "sharpest", 0.0) for tool in tools), default=0.0),
     )
     _assemble(model, file, tools_in_frame, outline)
@@ -213,15 +218,14 @@ def _(file: SceneFile) -> dict[str, Any]:
     return {"read": reference(scene_file.read_text), "from": content}
 
 
-def _tools(
+def _from_files(
     file: SceneFile, fabric: Fabric, outline: shapely.Polygon
-) -> tuple[list[Tool], dict[str, tool_file.ToolFile]]:
-    from_files = {
+) -> dict[str, tool_file.ToolFile]:
+    return {
         part.name: tool_file.read(part, outline, file.travel, fabric.thickness)
         for part in file.tools
         if isinstance(part.shape, SurfaceFile)
     }
-    return [_tool(part, fabric, from_files.get(part.name)) for part in file.tools], from_files
 
 
 def _tool(part: ToolPart, fabric: Fabric, read: tool_file.ToolFile | None) -> Tool:

@@ -32,9 +32,15 @@ class SingularMatrixError(NotConvergedError):
 
 
 def linear_solver(
-    name: str, pattern: csr_array, points: FloatArray, held: bool = False
+    name: str,
+    pattern: csr_array,
+    points: FloatArray,
+    held: bool = False,
+    symmetric: bool = True,
 ) -> Pardiso | SuperLU:
     """Return the linear solver of that name (of `NAMES`) for a fixed upper-triangular pattern.
+
+    If the matrix is not `symmetric`, the pattern is the whole one, which is.
 
     "auto" takes PARDISO if it is installed, else SuperLU, which orders the unknowns by their flat
     points (n, 2), mm; those without one (nan) are eliminated last. A sheet that is `held` has no
@@ -45,26 +51,39 @@ def linear_solver(
         raise InputError(f"unknown linear solver '{name}': {suggestion(name, NAMES)}")
     if name in ("auto", "pardiso"):
         try:
-            return Pardiso(pattern)
+            return Pardiso(pattern, symmetric)
         except (ImportError, AttributeError) as error:  # missing, or of another make
             if name == "pardiso":
                 raise InputError(
                     "linear solver 'pardiso' is not installed: pip install 'quasiform[fast]'"
                 ) from error
-    return SuperLU(pattern, points, held)
+    return SuperLU(pattern, points, held, symmetric)
+
+
+def mirrored(upper: csr_array) -> tuple[csr_array, np.ndarray]:
+    """Whole pattern of an upper triangle, and which of its values is where."""
+    n, i, j = upper.shape[0], *upper.tocoo().coords
+    off = np.flatnonzero(i != j)
+    rows, columns = np.concatenate([i, j[off]]), np.concatenate([j, i[off]])
+    source = np.concatenate([np.arange(len(i)), off])
+    order = np.lexsort((columns, rows))
+    indptr = np.searchsorted(rows[order], np.arange(n + 1))
+    whole = csr_array((np.zeros(len(order)), columns[order], indptr), shape=(n, n))
+    return whole, source[order]
 
 
 class Pardiso:
-    """MKL PARDISO, symmetric indefinite: analysed once, refactorised with new values."""
+    """MKL PARDISO, indefinite: analysed once, refactorised with new values."""
 
     name = "pardiso"
 
-    def __init__(self, pattern: csr_array) -> None:
+    def __init__(self, pattern: csr_array, symmetric: bool = True) -> None:
         import pymklpardiso
 
         # the public class looks at every row of the pattern in Python, which takes as long as
         # several factorisations; the one below it takes the pattern as it is
-        self._solver = pymklpardiso._PardisoSolver(pymklpardiso.MTYPE_REAL_SYM_INDEF, 0)
+        kind = pymklpardiso.MTYPE_REAL_SYM_INDEF if symmetric else pymklpardiso.MTYPE_REAL_NONSYM
+        self._solver = pymklpardiso._PardisoSolver(kind, 0)
         ia, ja = pattern.indptr.astype(np.int64), pattern.indices.astype(np.int64)
         self._solver.set_pattern(ia=ia, ja=ja, n=pattern.shape[0])
         self._analysed = False
@@ -88,19 +107,17 @@ class SuperLU:
 
     name = "superlu"
 
-    def __init__(self, pattern: csr_array, points: FloatArray, held: bool = False) -> None:
+    def __init__(
+        self, pattern: csr_array, points: FloatArray, held: bool = False, symmetric: bool = True
+    ) -> None:
         self.held = held
         n = pattern.shape[0]
-        upper = pattern.tocoo()
-        row, column = upper.row, upper.col
-        ones = csr_array((np.ones(pattern.nnz), pattern.indices, pattern.indptr), shape=(n, n))
-        self._order = nested_dissection((ones + ones.T).tocsr(), points)
+        whole, source = mirrored(pattern) if symmetric else (pattern, np.arange(pattern.nnz))
+        graph = csr_array((np.ones(whole.nnz), whole.indices, whole.indptr), shape=(n, n))
+        self._order = nested_dissection(graph, points)
         place = np.empty(n, dtype=int)
         place[self._order] = np.arange(n)
-        off = np.flatnonzero(row != column)
-        rows = place[np.concatenate([row, column[off]])]
-        columns = place[np.concatenate([column, row[off]])]
-        source = np.concatenate([np.arange(len(row)), off])
+        rows, columns = (place[numbers] for numbers in whole.tocoo().coords)
         by_column = np.lexsort((rows, columns))
         self._source = source[by_column]
         self._indices = rows[by_column].astype(np.int32)

@@ -25,6 +25,7 @@ from .linear import NotConvergedError, SlidesOffError
 from .newton import downhill, minimise, predict, settle, weakest_mode
 from .proximal import creep
 from .relaxation import relax
+from .sensitivity import Track
 from .weight_steps import load_factors, with_weight
 
 MOST_RELAXED = 60_000  # iterations of a run by dynamic relaxation alone
@@ -97,6 +98,7 @@ class Run:
         self.x, self.travel, self.states = self.model.x0, 0.0, list[State]()
         self.memory: Memory = equations.memory  # committed
         self.account, self.tries = Account(), SADDLES
+        self.track = Track()
 
     def start(self) -> FloatArray:
         """Equilibrium before any travel (a holder settling on the sheet)."""
@@ -193,6 +195,7 @@ class Run:
     def _accept(self, x: FloatArray, memory: Memory) -> None:
         self.equations.accept(x, memory)
         self.memory = memory
+        self.track.increments.append((self.equations.travel, x))
 
     def _climb(self, target: float, rungs: list[Rung]) -> tuple[FloatArray, Memory]:
         """Newton's method, then each rung with Newton's method after it; see `_solve`."""
@@ -290,6 +293,7 @@ class Run:
             model=self.model,
             states=list(self.states),
             memory=self.memory,
+            track=self.track,
             reason=reason,
             wall_s=wall,
             linear_solves=tangent.factorisations,
