@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from .comparison import Comparison, compare
     from .console.progress import progress
     from .energy.term import Term
-    from .fabric import Fabric, MomentCurve, TabulatedLaw, ThreeStageLaw
+    from .fabric import Fabric, MomentCurve, Slip, TabulatedLaw, ThreeStageLaw
     from .handover import FlatPattern, Handover, abaqus_deck, export, flat_pattern
     from .identification import Identification, identify
     from .model import Model
@@ -44,6 +44,7 @@ _MODULES = {  # where each public name is; its module is imported when the name 
     "Progress": "solve",
     "Recipe": "recipe",
     "Result": "result.run",
+    "Slip": "fabric",
     "StudyProgress": "studies",
     "TabulatedLaw": "fabric",
     "Term": "energy.term",

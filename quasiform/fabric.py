@@ -286,6 +286,41 @@ class MomentCurve:
         return float(self.law.stiffness(0.0))
 
 
+@dataclass(frozen=True)
+class Slip:
+    """How rovings slip over those of the other family (`energy.slip`).
+
+    Parameters
+    ----------
+    resistance : float
+        τ against sliding per area of fabric, MPa; `inf`: they slip elastically only.
+    stiffness : float
+        K of stitches and crossings before they slide, N/mm³.
+    pitch : float
+        w of the rovings, mm: neighbours are coupled by G = K w²/4.
+
+    Raises
+    ------
+    InputError
+        If a number is out of range; the message names it.
+    """
+
+    resistance: float
+    stiffness: float
+    pitch: float
+
+    def __post_init__(self) -> None:
+        if self.resistance != np.inf:
+            check_number("resistance", self.resistance, zero_allowed=True)
+        for name in ("stiffness", "pitch"):
+            check_number(name, getattr(self, name))
+
+    @property
+    def coupling(self) -> float:
+        """G, N/mm."""
+        return self.stiffness * self.pitch**2 / 4
+
+
 def _parabola(h: FloatArray, D: FloatArray) -> FloatArray:
     """(n - 1,) slopes at the inner knots of parabolas, from (n,) widths h and secants D."""
     return (h[1:] * D[:-1] + h[:-1] * D[1:]) / (h[1:] + h[:-1])
@@ -347,9 +382,11 @@ class Fabric:
         B11 and B22. More than 0.03 contradicts the off-axis tension tests behind the law.
     shear_range : float
         Shear angle up to which the shear law follows the tests, degrees (MD600: about 57, stated).
+    slip : Slip or None
+        How rovings slip; without it they do not.
     provenance : mapping of str to str, int, float or bool
         Where the numbers come from; it travels with them and has no effect. An entry named like a
-        parameter is about that one, and `save` writes it beside it.
+        parameter ("slip.stiffness") is about that one, and `save` writes it beside it.
 
     Raises
     ------
@@ -371,6 +408,7 @@ class Fabric:
     shear_range: float = 57.0
     moment_warp: MomentCurve | None = None
     moment_weft: MomentCurve | None = None
+    slip: Slip | None = None
     provenance: Mapping[str, str | float] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
@@ -385,6 +423,8 @@ class Fabric:
             if not isinstance(curve := getattr(self, name), MomentCurve | None):
                 words = f"must be a MomentCurve, got {type(curve).__name__}"
                 raise InputError(f"Fabric({name}=...) {words}")
+        if not isinstance(self.slip, Slip | None):
+            raise InputError(f"Fabric(slip=...) must be a Slip, got {type(self.slip).__name__}")
         for name in (*_POSITIVE, *_MAY_BE_ZERO):
             zero_allowed = name in _MAY_BE_ZERO
             check_number(f"Fabric({name}=...)", getattr(self, name), zero_allowed=zero_allowed)
@@ -447,6 +487,8 @@ def _fabric(table: dict[str, Any]) -> Fabric:
         table[key] = _checked(kind, numbers, key)
     for key in set(_MOMENTS) & table.keys():
         table[key] = _checked(MomentCurve, table[key], key)
+    if "slip" in table:
+        table["slip"] = _checked(Slip, table["slip"], "slip")
     return _checked(Fabric, table)
 
 

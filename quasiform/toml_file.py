@@ -111,7 +111,9 @@ def _lines(table: Mapping[str, Any], at: tuple[str, ...], comments: Mapping[str,
         name = ".".join(map(_key, path))
         nested = isinstance(value, Mapping) and len(path) < 3
         if nested and not {"value", "standing"} <= value.keys():
-            inner = _lines(value, path, {})
+            start = f"{key}."
+            within = {k[len(start) :]: v for k, v in comments.items() if k.startswith(start)}
+            inner = _lines(value, path, within)
             header = [] if inner and inner[0].startswith("\n[") else [f"\n[{name}]{comment}"]
             tables += header + inner
         elif value and isinstance(value, list) and all(isinstance(v, Mapping) for v in value):

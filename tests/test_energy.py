@@ -28,10 +28,11 @@ from quasiform.energy.contact import (
 from quasiform.energy.friction import STICK, Friction
 from quasiform.energy.gripper import Grip
 from quasiform.energy.membrane import Membrane, PairedMembrane
+from quasiform.energy.slip import SlippingMembrane, SlipResistance, SlipWidth
 from quasiform.energy.softening import Softening
 from quasiform.energy.term import Term, compiled
 from quasiform.energy.weight import GRAVITY, SheetWeight, ToolForce, ToolWeight
-from quasiform.fabric import Fabric, MomentCurve, ThreeStageLaw
+from quasiform.fabric import Fabric, MomentCurve, Slip, ThreeStageLaw
 from quasiform.net.blank import rectangle, rotation
 from quasiform.potential import Potential
 from quasiform.tools.shapes import (
@@ -68,6 +69,7 @@ SOFTENS = replace(  # within the curvatures of a sheet that is `deformed`
     moment_warp=MomentCurve((0.005, 0.02, 0.05), (0.017, 0.04, 0.06)),
     moment_weft=MomentCurve((0.01, 0.03, 0.04), (0.019, 0.03, 0.035)),
 )
+SLIPPERY = replace(FABRIC, slip=Slip(0.05, 0.1, 5.0))
 STIFF = Fabric.preset("locking")
 SHAPES = {
     "plane": Plane(),
@@ -210,6 +212,20 @@ def membrane(blank, dim, fabric=FABRIC):
     return Case(Membrane(sheet_of(blank, fabric, dim)), deformed(blank, dim))
 
 
+def slipping(kind, blank, dim):
+    """Slip of about 0.5 mm, so that some nodes slide; permanent slip that is neither zero."""
+    blank, unknowns = BLANKS[blank], Unknowns()
+    sheet = unknowns.sheet(blank, SLIPPERY, dim)
+    slip = unknowns.add("slip", dim, places=blank.nodes, areas=blank.node_areas)
+    term, rng = kind(sheet, slip), np.random.default_rng(3)
+    x = np.append(deformed(blank, dim), rng.normal(0.0, 0.5, slip.dofs.size))
+    state = term.initial(x)
+    if state is not None:
+        parts = rng.normal(0.0, 0.3, (len(blank.nodes), 2))
+        state = term.refresh(x, replace(state, parts=parts))
+    return Case(term, x, state=state)
+
+
 def across_fibres():
     """A mesh at 17 degrees to the fibres: pairs of triangles by cell, but for two left alone."""
     blank = rectangle(42.0, 30.0, 6.0)
@@ -308,6 +324,9 @@ FREE = {
     "softening": lambda: softening("aligned"),
     "softening, cut": lambda: softening("cut"),
     "bending alike in every direction": lambda: bending("aligned", fabric=ROUND),
+    "slipping membrane in the plane": lambda: slipping(SlippingMembrane, "cut", 2),
+    "slipping membrane in space": lambda: slipping(SlippingMembrane, "aligned", 3),
+    "width of slip": lambda: slipping(SlipWidth, "cut", 3),
 }
 SIMPLE = {
     f"{term.__name__}, {name}": lambda term=term, name=name: term(name)
@@ -331,6 +350,9 @@ HELD = {
     "bending, mirrored": lambda: bending("quarter"),
     "softening, clamped": lambda: softening("aligned", clamp=True),
     "bending alike in every direction, clamped": lambda: bending("aligned", True, ROUND),
+    "slip in the plane": lambda: slipping(SlipResistance, "cut", 2),
+    "slip in space": lambda: slipping(SlipResistance, "aligned", 3),
+    "slip, mirrored": lambda: slipping(SlipResistance, "quarter", 3),
     "weight of the sheet": sheet_weight,
     "force on a tool": tool_force,
     "weight of a tool": tool_weight,

@@ -103,7 +103,7 @@ class Membrane(Term):
         slots: IntArray,
         stress: FloatArray | None = None,
     ) -> None:
-        if self.kernels and type(self) is Membrane:
+        if self.kernels and self.sheet.blank.pairs is None:
             given = self._stress_and_stiffness(x, convex, stress)
             none = self.kernels.NONE[0]
             self.kernels.membrane_stiffness(self._g, *given, none, values, slots)
@@ -132,7 +132,7 @@ class Membrane(Term):
 
     def turned_over(self, x: FloatArray, trial: FloatArray) -> bool:
         """Whether a triangle is turned over between two states."""
-        if self.kernels and type(self) is Membrane:
+        if self.kernels and self.sheet.blank.pairs is None:
             return self.kernels.turned_over(self._at(x)[0], self._at(trial)[0])
         return bool(((self.normals(x) * self.normals(trial)).sum(1) <= 0).any())
 

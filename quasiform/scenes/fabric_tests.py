@@ -15,6 +15,7 @@ import shapely
 from ..checks import InputError, check_number, round_length
 from ..energy.bending import Bending, PatchBending
 from ..energy.membrane import Membrane, membrane_of
+from ..energy.slip import SlippingMembrane
 from ..energy.softening import bending_terms
 from ..energy.term import Term
 from ..energy.weight import SheetWeight
@@ -24,6 +25,7 @@ from ..net.blank import Blank, rectangle
 from ..net.free_mesh import PAIRED, check_same_size, own_mesh, triangulate
 from ..recipe import built
 from ..unknowns import FloatArray, Sheet, Unknowns
+from .slipping import let_slip
 
 
 def off_axis_tension(
@@ -97,22 +99,14 @@ def strip_under_tension(
     right = blank.nodes[:, 0] > length / 2 - 1e-6 * size
     drive = np.zeros(unknowns.size)
     drive[sheet.dofs[:, 0]] = right
-    membrane = membrane_of(sheet)
-    weights = _centre(blank, length, width, angle)
-
-    def mean(quantity: int, x: FloatArray) -> float:
-        I4, _, I8 = membrane.invariants(x)
-        field = (np.degrees(membrane.shear_angle(x)), 0.5 * (I4 - 1), 0.5 * (I8 - 1))[quantity]
-        return float(weights @ field)
-
     numbers = {name: given[name] for name in ("length", "width", "displacement")}
     identity = {"angle": angle, "law": fabric.name, "fabric": asdict(fabric)}
-    terms, share = [membrane], fabric.in_plane_bending
+    terms, share = [membrane_of(sheet)], fabric.in_plane_bending
     bending = ("bending left out", "held flat, and in_plane_bending is 0")
     if share:
         terms.append(Bending(sheet) if blank.pairs is None else PatchBending(sheet))
         bending = ("bending of warp and weft lines in the plane", f"in_plane_bending is {share:g}")
-    return _plane(
+    model = _plane(
         f"oat-{angle:g}",
         unknowns,
         sheet,
@@ -122,12 +116,6 @@ def strip_under_tension(
         drive=drive,
         travel=float(given["displacement"]),
         parameters={**identity, **numbers, "size": size, "mesh": str(mesh)},
-        measures={
-            "shear_angle_center_deg": partial(mean, 0),
-            "shear_angle_max_deg": membrane.largest_shear_angle,
-            "E11_center": partial(mean, 1),
-            "E22_center": partial(mean, 2),
-        },
         description=[
             ("plane problem", "no tools and no load out of the plane: two dofs a node, held flat"),
             bending,
@@ -138,6 +126,29 @@ def strip_under_tension(
         coarsest=width / 4,
         every=True,
     )
+    let_slip(model)
+    model.measures = _centre_measures(model.membrane, _centre(blank, length, width, angle))
+    return model
+
+
+def _centre_measures(membrane: Membrane, weights: FloatArray) -> dict[str, Any]:
+    """Columns of the history, with means by weights (n_triangles,)."""
+
+    def mean(quantity: int, x: FloatArray) -> float:
+        I4, _, I8 = membrane.invariants(x)
+        field = (np.degrees(membrane.shear_angle(x)), 0.5 * (I4 - 1), 0.5 * (I8 - 1))[quantity]
+        return float(weights @ field)
+
+    found = {
+        "shear_angle_center_deg": partial(mean, 0),
+        "shear_angle_max_deg": membrane.largest_shear_angle,
+        "E11_center": partial(mean, 1),
+        "E22_center": partial(mean, 2),
+    }
+    if isinstance(membrane, SlippingMembrane):
+        for i, name in enumerate(("E22_warp_layer_center", "E11_weft_layer_center")):
+            found[name] = lambda x, i=i: float(weights @ membrane.across(x)[i])
+    return found
 
 
 def _plane(
@@ -247,7 +258,7 @@ def sheet_in_frame(
         return (along * stretch @ diagonal).ravel(), (along * rate @ diagonal).ravel()
 
     gamma = radians(shear)
-    return _plane(
+    model = _plane(
         "picture-frame",
         unknowns,
         sheet,
@@ -259,6 +270,8 @@ def sheet_in_frame(
         parameters={"side": side, "shear": shear, "law": fabric.name, "size": size},
         description=[("plane problem", "held flat by the frame")],
     )
+    let_slip(model)
+    return model
 
 
 def cantilever(
@@ -313,6 +326,10 @@ def hanging_strip(size: float, like: Model | None, fabric: Fabric, **given: Any)
     fixed[sheet.dofs[clamped]] = True
     fixed[factor.dofs], drive[factor.dofs] = True, 1.0
     weight = SheetWeight(sheet, load, int(factor.dofs[0, 0]))
+    left_out = [("contact and friction left out", "no tools")]
+    if slip := fabric.slip:
+        why = f"its weight moves the layers by less than {load / slip.stiffness:.1g} mm"
+        left_out.append(("slip of the rovings left out", why))
     return Model(
         name=f"cantilever-{family}",
         unknowns=unknowns,
@@ -327,5 +344,5 @@ def hanging_strip(size: float, like: Model | None, fabric: Fabric, **given: Any)
         travel_name="load_factor",
         dead_load=load * length * width,
         parameters={"length": length, "load": load, "width": width, "size": size, "family": family},
-        description=[("contact and friction left out", "no tools")],
+        description=left_out,
     )

@@ -39,6 +39,7 @@ from .blank_file import blank_from_file
 from .mechanics import check_mechanics
 from .room import check_clearance, mirror_planes, smallest_radius, what_resolves
 from .scene_file import SceneFile, SurfaceFile, ToolPart, check_increments
+from .slipping import let_slip
 from .supports import fix_supports, grips, keep_middle
 
 LEAST = 0.5  # of the default size: how fine it may be for the sake of a fillet
@@ -298,6 +299,7 @@ def _assemble(model: Model, file: SceneFile, tools: list[Tool], outline: shapely
     if len(bent := bending_terms(bending)) > 1:
         model.description.append((bent[1].name, "moment_warp or moment_weft of the fabric"))
     model.terms = [membrane_of(sheet), *bent, *contacts, *frictions, *weights, *pulls]
+    let_slip(model)
 
 
 def _rest(model: Model, contacts: Sequence[Contact]) -> list[Term]:

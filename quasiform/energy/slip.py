@@ -1,0 +1,200 @@
+"""Rovings that slip: the two layers of the fabric as their mean surface x and their slip d.
+
+The warp layer lies at x + d/2, the weft layer at x - d/2 (two layers of elements with slip between
+them, after [1]_). With f_a = (F + ∇d/2) a0 and f_b = (F - ∇d/2) b0, linear in the unknowns,
+
+    E = Σ t0 A [W4(|f_a|²) + W6(f_a·f_b) + W8(|f_b|²)]                  SlippingMembrane, triangles
+      + Σ A D(|d - p|) + Σ A k_n/2 (n·d)²                                SlipResistance, nodes
+      + Σ A G/2 |∇d|²                                                    SlipWidth, triangles
+
+    D(r) = K r²/2 for r ≤ τ/K,  τ r - τ²/(2K) beyond
+
+p is the permanent slip. It turns with the fibres, of which it is kept in components, and moves when
+an increment is committed; this dissipates τ |Δp| per area. In space k_n keeps the layers on each
+other. G = K w²/4 gives slip the width w of a roving: without it a line that ends at the corner of a
+grip slips by an amount that depends on the mesh.
+
+References
+----------
+.. [1] S. Bel, N. Hamila, P. Boisse, F. Dumont, Composites A 43 (2012) 2269-2277.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from ..net.transfer import interpolated
+from ..unknowns import Field, FloatArray, Sheet
+from .membrane import Membrane, along_fibres, dot
+from .term import Standing, Term
+
+ENDLESS = 1e99  # MPa: the resistance of rovings that only slip elastically
+
+
+class SlippingMembrane(Membrane):
+    """Membrane of two layers with the field of their slip; six numbers a component a triangle."""
+
+    def __init__(self, sheet: Sheet, slip: Field) -> None:
+        super().__init__(sheet)
+        nodes = sheet.blank.basis.element_dofs.T
+        self._places, self._slips = self.dofs, slip.dofs[nodes].reshape(len(nodes), -1)
+        self.dofs = np.ascontiguousarray(np.hstack([self._places, self._slips]))
+        self._layer, half = self._g, 0.5 * self._g * np.array([1.0, -1.0])[:, None, None]
+        self._g = np.ascontiguousarray(np.concatenate([self._layer, half], axis=1))
+        self.g = self._g.transpose(2, 0, 1)
+
+    def across(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(n,) E22 of the warp layer and E11 of the weft layer: gaps between rovings where > 0.
+
+        So image correlation sees the strain across the rovings on the two faces.
+        """
+        F, D = (along_fibres(self._layer, x[dofs.T]) for dofs in (self._places, self._slips))
+        a, b = F[1] + 0.5 * D[1], F[0] - 0.5 * D[0]
+        return 0.5 * (dot(a, a) - 1.0), 0.5 * (dot(b, b) - 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Slipped:
+    """What the nodes remember of their slip."""
+
+    parts: FloatArray  # (n, 2) permanent slip in components along warp and weft, mm
+    p: FloatArray  # (n, dim) the same as a vector
+    normal: FloatArray  # (n, dim) of the sheet; zero in the plane
+    lost: FloatArray  # (n,) dissipated so far, mJ
+
+
+class SlipResistance(Term):
+    """Resistance of stitches and crossings to slip, by nodes."""
+
+    def __init__(self, sheet: Sheet, slip: Field) -> None:
+        blank, given = sheet.blank, sheet.fabric.slip
+        self.name, self.sheet, self.dofs = sheet.named("slip"), sheet, slip.dofs
+        self.area, self.places = blank.node_areas, blank.nodes
+        self.K, self.tau = given.stiffness, min(given.resistance, ENDLESS)
+        self.kn = sheet.fabric.compaction if sheet.dim == 3 else 0.0
+        nodes, n = blank.basis.element_dofs.T, len(blank.nodes)
+        grad = np.stack([phi[0].grad[:, :, 0] for phi in blank.basis.basis])  # (3, 2, m)
+        at = np.repeat(nodes, 3, axis=1).ravel(), np.tile(nodes, 3).ravel()
+        self._along, self._symmetric = [], np.ones((2, n, sheet.dim))
+        for f, along in enumerate((blank.warp, blank.weft)):
+            # F a0 times the area, summed over the triangles around a node
+            legs = np.tile(np.einsum("icm,c,m->mi", grad, along, blank.areas), 3).ravel()
+            self._along.append(csr_array((legs, at), shape=(n, n)))
+            for axis in (axis for axis, plane in enumerate("xy") if plane in blank.mirror):
+                # on a mirror plane one family lies across it, the other in it
+                across = np.arange(sheet.dim) == axis
+                own = across if abs(along[axis]) > 0.5 else ~across
+                self._symmetric[f, np.abs(blank.nodes[:, axis]) < 1e-9] *= own
+
+    def _fibres(self, x: FloatArray) -> FloatArray:
+        """(2, n, dim) unit vectors of warp and weft at the nodes."""
+        y = self.sheet.positions(x)
+        f = np.stack([along @ y for along in self._along]) * self._symmetric
+        return f / np.linalg.norm(f, axis=2)[:, :, None]
+
+    def initial(self, x: FloatArray) -> Slipped:
+        """No permanent slip."""
+        n, dim = self.dofs.shape
+        return self.refresh(x, Slipped(np.zeros((n, 2)), *np.zeros((2, n, dim)), np.zeros(n)))
+
+    def refresh(self, x: FloatArray, state: Slipped) -> Slipped:
+        """Turn the permanent slip with the fibres."""
+        return self._turned(self._fibres(x), state)
+
+    def _turned(self, fibres: FloatArray, state: Slipped) -> Slipped:
+        normal = state.normal
+        if self.kn:
+            normal = np.cross(*fibres)
+            normal = normal / np.linalg.norm(normal, axis=1)[:, None]
+        return replace(state, p=np.einsum("nf,fnc->nc", state.parts, fibres), normal=normal)
+
+    def commit(self, x: FloatArray, state: Slipped) -> Slipped:
+        """Make permanent what has slid beyond the elastic limit, and count what that dissipates."""
+        d, r, over = self._at(x, state)
+        p, fibres = state.p + (over / np.maximum(r, 1e-300))[:, None] * d, self._fibres(x)
+        parts = components(p, fibres)
+        lost = state.lost + self.area * self.tau * over
+        return self._turned(fibres, replace(state, parts=parts, lost=lost))
+
+    def dissipated(self, before: Slipped, after: Slipped, x: FloatArray) -> float:
+        return float((after.lost - before.lost).sum())
+
+    def carried(self, state: Slipped | None, old: Standing | None, new: Standing) -> Slipped:
+        start = self.initial(new.x)
+        if state is None or old is None:
+            return start
+        theirs = np.column_stack([state.parts, state.lost / old.term.area])
+        own = interpolated(old.term.places, theirs, self.places)
+        start = replace(start, parts=own[:, :2], lost=own[:, 2] * self.area)
+        return self.refresh(new.x, start)
+
+    def along_fibres(self, x: FloatArray) -> FloatArray:
+        """(n, 2) how far the warp and the weft rovings have slid along themselves, mm.
+
+        Each relative to the other family, positive in its own direction.
+        """
+        return components(x[self.dofs], self._fibres(x)) * [1.0, -1.0]
+
+    def _at(self, x: FloatArray, state: Slipped) -> tuple[FloatArray, ...]:
+        """D - p (n, dim), its length (n,), and by how much that exceeds the elastic limit (n,)."""
+        d = x[self.dofs] - state.p
+        r = np.sqrt((d * d).sum(1))
+        return d, r, np.maximum(r - self.tau / self.K, 0.0)
+
+    def _off(self, x: FloatArray, state: Slipped) -> FloatArray:
+        """(n,) slip across the sheet, mm."""
+        return (state.normal * x[self.dofs]).sum(1)
+
+    def energy(self, x: FloatArray, state: Slipped) -> FloatArray:
+        _, r, over = self._at(x, state)
+        D = 0.5 * self.K * (r - over) ** 2 + self.tau * over
+        return self.area * (D + 0.5 * self.kn * self._off(x, state) ** 2)
+
+    def gradient(self, x: FloatArray, state: Slipped) -> FloatArray:
+        d, r, over = self._at(x, state)
+        force = (self.K * (r - over) / np.maximum(r, 1e-300))[:, None] * d
+        force += (self.kn * self._off(x, state))[:, None] * state.normal
+        return self.area[:, None] * force
+
+    def hessian(self, x: FloatArray, state: Slipped, convex: bool) -> FloatArray:
+        d, r, over = self._at(x, state)
+        t = d / np.maximum(r, 1e-300)[:, None]
+        ring = self.tau / np.maximum(np.maximum(r, self.tau / self.K), 1e-300)  # K up to the limit
+        H = ring[:, None, None] * np.eye(d.shape[1])
+        H -= np.where(over > 0, ring, 0.0)[:, None, None] * t[:, :, None] * t[:, None]
+        H += self.kn * state.normal[:, :, None] * state.normal[:, None]
+        return self.area[:, None, None] * H
+
+
+class SlipWidth(Term):
+    """G/2 |∇d|²: neighbouring rovings slip together."""
+
+    quadratic = True
+
+    def __init__(self, sheet: Sheet, slip: Field) -> None:
+        blank, self.sheet, self.name = sheet.blank, sheet, sheet.named("width of slip")
+        nodes, G = blank.basis.element_dofs.T, sheet.fabric.slip.coupling
+        self.dofs = slip.dofs[nodes].reshape(len(nodes), -1)
+        grad = np.stack([phi[0].grad[:, :, 0] for phi in blank.basis.basis])
+        L = G * np.einsum("icm,jcm,m->mij", grad, grad, blank.areas)
+        H = np.einsum("mij,cd->micjd", L, np.eye(sheet.dim))
+        self.H = np.ascontiguousarray(H.reshape(len(nodes), *[self.dofs.shape[1]] * 2))
+
+    def energy(self, x: FloatArray, state: None = None) -> FloatArray:
+        return 0.5 * (x[self.dofs] * self.gradient(x)).sum(1)
+
+    def gradient(self, x: FloatArray, state: None = None) -> FloatArray:
+        return np.einsum("mij,mj->mi", self.H, x[self.dofs])
+
+    def hessian(self, x: FloatArray, state: None, convex: bool) -> FloatArray:
+        return self.H.copy()
+
+
+def components(v: FloatArray, fibres: FloatArray) -> FloatArray:
+    """(n, 2) components of vectors (n, dim) along unit vectors (2, n, dim) in their plane."""
+    a, b = fibres
+    va, vb, ab = (v * a).sum(1), (v * b).sum(1), (a * b).sum(1)
+    return np.stack([va - ab * vb, vb - ab * va], axis=1) / (1.0 - ab**2)[:, None]

@@ -1,0 +1,207 @@
+"""Rovings that slip: exact solutions, invariances, the energy account, and what is refused."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import quasiform as qf
+from quasiform.energy.slip import SlippingMembrane, SlipResistance
+from quasiform.net.blank import rectangle, rotation
+from quasiform.unknowns import Unknowns
+
+SLIP = qf.Slip(resistance=0.005, stiffness=0.02, pitch=5.0)
+PLAIN = replace(qf.Fabric.preset("best-fit"), in_plane_bending=0.0)
+FABRIC = replace(PLAIN, slip=SLIP)
+
+
+def strip(fabric=FABRIC, displacement=30.0, size=20.0, angle=45.0):
+    return qf.off_axis_tension(angle, fabric, displacement=displacement, size=size)
+
+
+def without_slip(model):
+    model.fixed[model.unknowns["slip"].dofs] = True
+
+
+def assembled(term, x, state):
+    out = np.zeros(len(x))
+    term.add_gradient(out, x, state)
+    return out
+
+
+def two_layers(blank, fabric):
+    """A sheet in the plane with its slip; x at rest."""
+    unknowns = Unknowns()
+    sheet = unknowns.sheet(blank, fabric, 2)
+    slip = unknowns.add("slip", 2, places=blank.nodes, areas=blank.node_areas)
+    return sheet, slip, unknowns.start(sheet)[0]
+
+
+def test_slip_that_is_prescribed_zero_changes_nothing():
+    plain = qf.solve(strip(PLAIN), estimate=False)
+    held = strip()
+    without_slip(held)
+    held = qf.solve(held, estimate=False)
+    n = len(plain.states[-1].x)
+    assert held.force == pytest.approx(plain.force, rel=1e-14)
+    assert_allclose(held.states[-1].x[:n], plain.states[-1].x, rtol=0, atol=1e-12)
+    assert not held.states[-1].x[n:].any()
+
+
+def test_without_slip_nothing_is_built():
+    names = [term.name for term in strip(PLAIN).terms]
+    assert names == ["membrane"]
+    assert len(strip(PLAIN).x0) * 2 == len(strip().x0)
+    assert not any("slip" in entry for entry, _ in strip(PLAIN).description)
+    assert any(entry == "slip of the rovings" for entry, _ in strip().description)
+
+
+def test_infinite_resistance_is_no_slip():
+    """The force misses that without slip by an amount that falls with 1/K."""
+    plain, missed = qf.solve(strip(PLAIN), estimate=False, tolerance=1e-7).force, []
+    for K in (1.0, 1e2, 1e4):
+        fabric = replace(PLAIN, slip=qf.Slip(np.inf, K, 1e-3))
+        force = qf.solve(strip(fabric), estimate=False, tolerance=1e-7).force
+        missed.append(abs(force / plain - 1.0))
+    assert missed[-1] < 1e-6
+    assert all(50 < before / after < 200 for before, after in pairwise(missed))
+
+
+@pytest.mark.parametrize("angle", [0.0, 37.0])
+def test_pull_out_has_its_plateau(angle):
+    """All warp rovings are drawn out of a weft that is held: F = τ w L, u - τ/K dissipates."""
+    width, length, tau, K = 20.0, 60.0, 0.01, 0.5
+    blank = rectangle(length, width, 5.0).turned(angle)
+    sheet, slip, x0 = two_layers(blank, replace(PLAIN, slip=qf.Slip(tau, K, 5.0)))
+    term, state = SlipResistance(sheet, slip), None
+    rate = np.zeros(len(x0))
+    rate[sheet.dofs] = 0.5 * rotation(angle)[:, 0]
+    rate[slip.dofs] = rotation(angle)[:, 0]
+    lost, start = 0.0, term.initial(x0)
+    state = start
+    for s in np.linspace(0.0, 5.0, 11)[1:]:
+        x = x0 + s * rate
+        before = term.refresh(x, state)
+        force = assembled(term, x, before) @ rate
+        state = term.commit(x, before)
+        lost += term.dissipated(before, state, x)
+        assert force == pytest.approx(tau * width * length, rel=1e-12)
+    assert lost == pytest.approx(12.0 * (5.0 - tau / K), rel=1e-12)
+    slid = term.along_fibres(x)
+    assert_allclose(slid, np.tile([5.0, 0.0], (len(slid), 1)), atol=1e-12)
+
+
+def test_elastic_slip_has_its_shear_lag():
+    """A warp drawn at one end against K: F = u √(K EA) tanh(L √(K/EA)) per width."""
+    L, width, K, u, found = 200.0, 10.0, 0.05, 1e-3, []
+    law = replace(PLAIN, warp=qf.ThreeStageLaw(C_ini=1.0), slip=qf.Slip(np.inf, K, 1e-6))
+    EA = 4.0 * law.thickness
+    exact = u * np.sqrt(K * EA) * np.tanh(L * np.sqrt(K / EA))
+    for size in (10.0, 5.0, 2.5):
+        sheet, slip, x0 = two_layers(rectangle(L, width, size), law)
+        n = len(sheet.dofs)
+        P = np.zeros((len(x0), n))  # the weft is held: x - d/2 = X; rovings move along x
+        P[sheet.dofs[:, 0], np.arange(n)], P[slip.dofs[:, 0], np.arange(n)] = 0.5, 1.0
+        H = np.zeros((len(x0), len(x0)))
+        for term in (SlippingMembrane(sheet, slip), SlipResistance(sheet, slip)):
+            stiffness = term.hessian(x0, term.initial(x0), False)
+            for dofs, k in zip(term.dofs, stiffness, strict=True):
+                H[np.ix_(dofs, dofs)] += k
+        k, end = P.T @ H @ P, np.isclose(sheet.blank.nodes[:, 0], L / 2)
+        d = np.where(end, u, 0.0)
+        d[~end] = np.linalg.solve(k[np.ix_(~end, ~end)], -k[np.ix_(~end, end)] @ d[end])
+        found.append((k @ d)[end].sum() / width / exact)
+    assert found == pytest.approx([1.139, 1.035, 1.009], abs=1e-3)
+
+
+@pytest.fixture(scope="module")
+def slid():
+    """A strip beyond the onset of slip."""
+    return qf.solve(strip(displacement=60.0), increment=0.625, estimate=False)
+
+
+def test_turned_as_a_whole_nothing_changes(slid):
+    """Permanent slip turns with the fibres."""
+    x, R = slid.states[-1].x, rotation(37.0)
+    y = (x.reshape(-1, 2) @ R.T).ravel()
+    for term, state in zip(slid.model.terms, slid.memory, strict=True):
+        here, there = term.refresh(x, state), term.refresh(y, state)
+        assert term.energy(y, there).sum() == pytest.approx(term.energy(x, here).sum(), rel=1e-12)
+        g, turned = assembled(term, x, here), assembled(term, y, there)
+        assert_allclose((turned.reshape(-1, 2) @ R).ravel(), g, atol=1e-9 * np.abs(g).max())
+
+
+def test_work_is_stored_or_dissipated(slid):
+    assert slid.status == "completed"
+    lost = slid.memory[1].lost.sum()
+    h = slid.history
+    work = np.trapezoid(h["force_N"], h["displacement_mm"])
+    assert lost > 0.05 * work
+    assert work == pytest.approx(slid.energy + lost, rel=2e-4)
+    assert slid.energy_balance < 2e-4
+
+
+def test_a_line_at_the_corner_of_a_grip_slips_alike_on_any_mesh():
+    """With G = K w²/4; without it the force falls with the mesh."""
+    forces = {
+        w: [
+            qf.solve(
+                strip(replace(PLAIN, slip=replace(SLIP, pitch=w)), 50.0, size), estimate=False
+            ).force
+            for size in (20.0, 10.0)
+        ]
+        for w in (5.0, 1e-3)
+    }
+    change = {w: 1.0 - fine / coarse for w, (coarse, fine) in forces.items()}
+    assert change[5.0] < 0.6 * change[1e-3]
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        ("resistance = 0.1\nstiffness = 0.0\npitch = 5", "stiffness must be a positive number"),
+        ("resistance = 0.1\nstiffness = -1.0\npitch = 5", "stiffness must be a positive number"),
+        ("resistance = -0.1\nstiffness = 0.1\npitch = 5", "resistance must be a number of at"),
+        ("resistance = nan\nstiffness = 0.1\npitch = 5", "resistance must be a number of at"),
+        ("resistance = 0.1\nstiffness = 0.1", "pitch missing"),
+        ("resistance = 0.1\nstiffness = 0.1\npitch = 0", "pitch must be a positive number"),
+        ("stifness = 0.1", "unknown key 'stifness'"),
+    ],
+)
+def test_wrong_slip_is_one_line_and_exit_2(table, words, tmp_path, capsys):
+    from quasiform.console.cli import main
+
+    path = tmp_path / "fabric.toml"
+    path.write_text(f"[slip]\n{table}\n", encoding="utf-8")
+    code = main(["oat", "--law", str(path), "--dry-run"])
+    said = capsys.readouterr().err.strip()
+    assert code == 2
+    assert words in said
+    assert "[slip]" in said
+    assert "\n" not in said
+
+
+def test_a_file_keeps_slip_and_where_it_comes_from(tmp_path):
+    origins = {"slip": "a guess", "slip.stiffness": "measured by pull-out"}
+    for slip in (SLIP, qf.Slip(np.inf, 1.0, 2.0)):
+        fabric = replace(FABRIC, slip=slip, provenance=origins)
+        fabric.save(path := tmp_path / "fabric.toml")
+        assert qf.Fabric.load(path) == fabric
+    text = path.read_text(encoding="utf-8")
+    assert "[slip]  # a guess" in text
+    assert "stiffness = 1.0  # measured by pull-out" in text
+
+
+def test_a_mesh_that_does_not_follow_the_fibres_is_refused():
+    with pytest.raises(qf.InputError, match=r"\[slip\] needs a mesh that follows the fibres"):
+        qf.off_axis_tension(45.0, FABRIC, size=20.0, mesh="free")
+
+
+def test_slip_is_left_out_where_no_roving_has_a_free_end():
+    model = qf.picture_frame(law=FABRIC, size=20.0)
+    assert [term.name for term in model.terms] == ["membrane"]
+    assert ("slip of the rovings left out", "no roving has a free end") in model.description
+    hanging = qf.cantilever(100.0, 6e-6, law=FABRIC).description
+    assert any(entry == "slip of the rovings left out" for entry, _ in hanging)
