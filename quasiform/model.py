@@ -12,6 +12,7 @@ from .checks import force_column
 from .energy.contact import Contact, surrounds
 from .energy.friction import Friction
 from .energy.membrane import Membrane
+from .energy.slip import SlipResistance
 from .energy.term import Term
 from .fingerprint import fingerprint
 from .net.edges import EdgePoint
@@ -170,6 +171,11 @@ class Model:
         if self.recipe is None:
             raise ValueError("this model has no recipe: change it itself")
         return self.recipe.including(change).build(self.size, like=self)
+
+    @property
+    def slip(self) -> SlipResistance | None:
+        """The resistance to slip of the rovings of the first sheet, or None where none slips."""
+        return next((term for term in self.terms if isinstance(term, SlipResistance)), None)
 
     @property
     def changed(self) -> bool:

@@ -178,8 +178,11 @@ class Sheet:
 
     def whole_positions(self, x: FloatArray) -> FloatArray:
         """(n_nodes, 3) positions of the whole sheet in the user's axes, mm."""
+        return self.unfolded(self.positions(x))
+
+    def unfolded(self, part: FloatArray) -> FloatArray:
+        """(n_nodes, 3) vectors of the whole sheet in the user's axes, from those of its part."""
         _, source, sign, _, _ = self.whole
-        part = self.positions(x)
         whole = np.pad(part, ((0, 0), (0, 3 - part.shape[1])))[source] * sign
         whole[:, :2] = self.to_user(whole[:, :2])
         return whole

@@ -28,7 +28,7 @@ from quasiform.energy.contact import (
 from quasiform.energy.friction import STICK, Friction
 from quasiform.energy.gripper import Grip
 from quasiform.energy.membrane import Membrane, PairedMembrane
-from quasiform.energy.slip import SlippingMembrane, SlipResistance, SlipWidth
+from quasiform.energy.slip import SlipBending, SlippingMembrane, SlipResistance, SlipWidth
 from quasiform.energy.softening import Softening
 from quasiform.energy.term import Term, compiled
 from quasiform.energy.weight import GRAVITY, SheetWeight, ToolForce, ToolWeight
@@ -224,6 +224,16 @@ def slipping(kind, blank, dim):
         parts = rng.normal(0.0, 0.3, (len(blank.nodes), 2))
         state = term.refresh(x, replace(state, parts=parts))
     return Case(term, x, state=state)
+
+
+def bending_of_layers(blank, clamp=False, dim=3):
+    """With the bending that it adds to, which is what is semi-definite."""
+    blank, unknowns = BLANKS[blank], Unknowns()
+    sheet = unknowns.sheet(blank, FABRIC, dim)
+    slip = unknowns.add("slip", dim, places=blank.nodes, areas=blank.node_areas)
+    clamped = np.isclose(blank.nodes[:, 0], blank.nodes[:, 0].min()) if clamp else None
+    x = np.append(deformed(blank, dim), np.random.default_rng(3).normal(0.0, 0.5, slip.dofs.size))
+    return Bending(sheet, clamped), SlipBending(Bending(sheet, clamped), slip), x
 
 
 def across_fibres():
@@ -1483,3 +1493,30 @@ def test_the_mean_place_of_the_net_and_the_length_of_its_fibres():
         assert lowered == pytest.approx(expected / radius, rel=1e-9)
     coarse = Tool("die", bar(3.0))
     assert share(coarse, h) == pytest.approx(1 / 24)  # nodes would jump over it
+
+
+# Bending of layers that slip
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize(
+    ("blank", "clamp"), [("cut", False), ("aligned", True), ("quarter", False)]
+)
+def test_each_layer_resists_bending_in_its_plane(blank, clamp, dim):
+    """Moved as they are, the layers have r B/2 |k|², the warp of x + d/2, the weft of x - d/2."""
+    bending, extra, x = bending_of_layers(blank, clamp, dim)
+    positions, d = np.split(x, 2)
+    part = 0.5 * bending.in_plane * bending.stiffness
+
+    def square(y, f):
+        return part[:, f] * (bending._combined(y, 2)[:, f] ** 2).sum(1)
+
+    layers = square(positions + d / 2, 0) + square(positions - d / 2, 1)
+    expected = layers - square(positions, 0) - square(positions, 1)
+    assert_allclose(extra.energy(x), expected, atol=1e-9 * np.abs(expected).max())
+    case = Case(extra, x)
+    test_gradient_is_the_derivative_of_the_energy(case)
+    test_hessian_is_the_derivative_of_the_gradient(case)
+    H, k = extra.hessian(x, None, False), bending.dofs.shape[1]
+    H[:, :k, :k] += bending.hessian(positions, None, True)
+    assert np.linalg.eigvalsh(H).min() >= -1e-12 * np.abs(H).max()

@@ -205,3 +205,69 @@ def test_slip_is_left_out_where_no_roving_has_a_free_end():
     assert ("slip of the rovings left out", "no roving has a free end") in model.description
     hanging = qf.cantilever(100.0, 6e-6, law=FABRIC).description
     assert any(entry == "slip of the rovings left out" for entry, _ in hanging)
+
+
+def hemisphere(symmetry="auto", slip=SLIP, size=15.0):
+    fabric = replace(qf.Fabric(), slip=slip)
+    return qf.forming("hemisphere", 0.0, fabric, size=size, travel=20.0, symmetry=symmetry)
+
+
+def test_a_quarter_is_the_whole_sheet():
+    """Positions, slip, permanent slip and all fields."""
+    part, whole = (
+        qf.solve(hemisphere(s, qf.Slip(1e-4, 0.01, 5.0)), estimate=False) for s in ("auto", "none")
+    )
+    assert part.certified.converged
+    assert whole.certified.converged
+    assert part.force == pytest.approx(whole.force, rel=1e-3)
+    one, other = part.summary()["slip"], whole.summary()["slip"]
+    assert one["dissipated_mJ"] > 0.1
+    for name, value in one.items():
+        assert value == pytest.approx(other[name], rel=2e-3, abs=1e-4), name
+    a, b = part.sheet, whole.sheet
+    order = [np.lexsort(np.round(sheet.flat, 6).T) for sheet in (a, b)]
+    assert_allclose(a.flat[order[0]], b.flat[order[1]], atol=1e-9)
+    for name in ("slip_warp", "slip_weft"):
+        one, other = a.point_fields[name][order[0]], b.point_fields[name][order[1]]
+        assert np.abs(one).max() > 0.02
+        assert_allclose(one, other, atol=2e-3)
+
+
+def test_fields_of_the_layers():
+    """The warp layer slides along itself: its strain across is none, its stretch that of d."""
+    sheet, slip, x = two_layers(rectangle(60.0, 40.0, 10.0).turned(20.0), FABRIC)
+    R = rotation(20.0)
+    s, t = (sheet.blank.nodes @ R).T
+    membrane, term = SlippingMembrane(sheet, slip), SlipResistance(sheet, slip)
+    x[slip.dofs] = 0.02 * t[:, None] * R[:, 1] - 0.03 * s[:, None] * R[:, 0]
+    E22, E11 = membrane.across(x)
+    assert_allclose(E22, 0.5 * (1.01**2 - 1))  # of the warp layer, whose rovings move apart
+    assert_allclose(E11, 0.5 * (1.015**2 - 1))
+    assert_allclose(term.along_fibres(x), np.column_stack([-0.03 * s, -0.02 * t]), atol=1e-12)
+
+
+def test_results_of_a_strip_that_slips(tmp_path):
+    import meshio
+
+    result = qf.solve(strip(displacement=40.0), estimate=False)
+    result.save(tmp_path)
+    mesh = meshio.read(tmp_path / "result.vtu")
+    assert {"slip_warp", "slip_weft"} <= set(mesh.point_data)
+    assert {"E22_warp_layer", "E11_weft_layer"} <= set(mesh.cell_data)
+    assert (tmp_path / "gaps.png").stat().st_size > 10_000
+    assert {"E22_warp_layer_center", "E11_weft_layer_center"} <= set(result.history)
+    summary = result.summary()
+    assert summary["assumed"] == [f"fabric.slip.{n}" for n in ("resistance", "stiffness", "pitch")]
+    found = summary["slip"]
+    assert found["dissipated_mJ"] == pytest.approx(result.memory[1].lost.sum())
+    assert 0 < found["gap_share"] < 1
+    # warp and weft are those of their layers: their angle is the shear angle
+    a, b = (result.sheet.cell_fields[name] for name in ("warp", "weft"))
+    assert_allclose(np.degrees(np.arcsin((a * b).sum(1))), result.sheet.shear_angle, atol=1e-6)
+    assert not any("slipped" in words for words in summary["trust"])
+
+
+def test_trust_warns_of_slip_beyond_a_cell():
+    far = qf.solve(strip(displacement=40.0, size=10.0, angle=30.0), estimate=False)
+    assert far.summary()["slip"]["largest_mm"] > 10.0
+    assert any("slipped by" in words for words in far.summary()["trust"])

@@ -81,12 +81,15 @@ DOUBTS = {  # colour, meaning and advice; later ones lie over earlier ones
     ),
 }
 LIMITS_SHOWN = 4
+GAPS = {"E22_warp_layer": "E22 of the warp layer", "E11_weft_layer": "E11 of the weft layer"}
 LIGHT = np.array([-0.45, 0.55, 0.70])  # direction to the light: right, up, towards the viewer
 
 
 def save_pictures(run: Record, folder: str | Path) -> None:
-    """Write `shear_angle.png`, `history.png` and `doubt.png` into an existing folder."""
+    """Write the pictures into an existing folder; `gaps.png` where rovings slip."""
     draw = {"shear_angle": sheet_figure, "history": history_figure, "doubt": doubt_figure}
+    if all(name in run.sheet.cell_fields for name in GAPS):
+        draw["gaps"] = gap_figure
     with rc_context(STYLE), warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph")  # a name with letters the font lacks
         for name, picture in draw.items():
@@ -150,6 +153,25 @@ def doubt_figure(run: Record) -> Figure:
     words = "\n".join(lines)
     look = {"va": "top", "fontsize": 7, "linespacing": 1.5, "in_layout": False}
     key.text(0.0, 0.62, words, parse_math=False, **look)
+    figure.suptitle(_title(run), parse_math=False)
+    return figure
+
+
+def gap_figure(run: Record) -> Figure:
+    """Strain across the rovings of either layer, seen along z: gaps where it is positive."""
+    sheet = run.sheet
+    fields = {name: np.ravel(sheet.cell_fields[name]) for name in GAPS}
+    end = max(max(float(np.quantile(v, 0.99)) for v in fields.values()), 0.01)
+    colours = ScalarMappable(Normalize(-end, end), colormaps["RdBu_r"])
+    figure = new_figure(3.4)
+    panels = figure.subplots(1, 2)
+    for axes, (name, values) in zip(panels, fields.items(), strict=True):
+        paint(axes, sheet, sheet.points, colours.to_rgba(values))
+        frame(axes, sheet.points)
+        axes.set_title(GAPS[name])
+    place = {"ax": panels.tolist(), "orientation": "horizontal", "aspect": 40, "extend": "both"}
+    bar = figure.colorbar(colours, label="strain across the rovings: > 0 gaps", **place)
+    bar.outline.set_linewidth(0.5)
     figure.suptitle(_title(run), parse_math=False)
     return figure
 

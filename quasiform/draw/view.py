@@ -243,6 +243,10 @@ FIELDS = {  # in the choice of the page: name and unit
     "warp": ("warp direction from x, seen along z", "°"),
     "weft": ("weft direction from x, seen along z", "°"),
     "pressure": ("contact pressure", "MPa"),
+    "slip_warp": ("slip of the warp along itself", "mm"),
+    "slip_weft": ("slip of the weft along itself", "mm"),
+    "E22_warp_layer": ("E22 of the warp layer: gaps where positive", ""),
+    "E11_weft_layer": ("E11 of the weft layer: gaps where positive", ""),
     "error": ("mesh error of the shear angle", "°"),
     "limit": ("limits of the shear angle", ""),
 }
@@ -283,6 +287,12 @@ def _fields(run: Record, sheet: FormedSheet) -> dict[str, FloatArray]:
         found["pressure"] = np.ravel(sheet.point_fields["contact_pressure"])[corners].mean(1)
     if "shear_angle_error" in cells:
         found["error"] = np.ravel(cells["shear_angle_error"])
+    for name in ("slip_warp", "slip_weft"):
+        if name in sheet.point_fields:
+            found[name] = np.ravel(sheet.point_fields[name])[corners].mean(1)
+    for name in ("E22_warp_layer", "E11_weft_layer"):
+        if name in cells:
+            found[name] = np.ravel(cells[name])
     doubts = sheet.doubts()
     found["limit"] = np.zeros(len(corners))
     for k, name in enumerate(plot.DOUBTS, 1):

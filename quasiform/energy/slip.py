@@ -28,6 +28,7 @@ from scipy.sparse import csr_array
 
 from ..net.transfer import interpolated
 from ..unknowns import Field, FloatArray, Sheet
+from .bending import Bending
 from .membrane import Membrane, along_fibres, dot
 from .term import Standing, Term
 
@@ -42,6 +43,7 @@ class SlippingMembrane(Membrane):
         nodes = sheet.blank.basis.element_dofs.T
         self._places, self._slips = self.dofs, slip.dofs[nodes].reshape(len(nodes), -1)
         self.dofs = np.ascontiguousarray(np.hstack([self._places, self._slips]))
+        self.slip = slip
         self._layer, half = self._g, 0.5 * self._g * np.array([1.0, -1.0])[:, None, None]
         self._g = np.ascontiguousarray(np.concatenate([self._layer, half], axis=1))
         self.g = self._g.transpose(2, 0, 1)
@@ -191,6 +193,44 @@ class SlipWidth(Term):
 
     def hessian(self, x: FloatArray, state: None, convex: bool) -> FloatArray:
         return self.H.copy()
+
+
+class SlipBending(Term):
+    """Resistance of the rovings to bending in their plane, which each layer has on its own.
+
+    `Bending` has r B/2 |k|² of the mean surface. With k of x + d/2 for the warp and of x - d/2 for
+    the weft it lacks Σ A r B/2 [±k(x)·k(d) + |k(d)|²/4]. The sum of both is semi-definite.
+    """
+
+    quadratic = True
+
+    def __init__(self, bending: Bending, slip: Field) -> None:
+        dim, m = bending.sheet.dim, len(bending.dofs)
+        self.name = bending.sheet.named("bending of the layers")
+        self.dofs = np.hstack([bending.dofs, slip.dofs[bending.nodes].reshape(m, -1)])
+        self.K, self.constant = bending.operator[:, : 2 * dim], bending.constant[:, :2]
+        self.constant = self.constant.reshape(m, -1)
+        self.both = np.repeat(0.5 * bending.in_plane * bending.stiffness * [1.0, -1.0], dim, axis=1)
+        self.own = 0.5 * np.abs(self.both)
+
+    def _curvatures(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(m, 2 dim) k of warp and weft lines, of the positions and of the slip."""
+        of_x, of_d = (np.einsum("mki,mi->mk", self.K, x[p]) for p in np.split(self.dofs, 2, axis=1))
+        return of_x + self.constant, of_d
+
+    def energy(self, x: FloatArray, state: None = None) -> FloatArray:
+        of_x, of_d = self._curvatures(x)
+        return (self.both * of_x * of_d + 0.5 * self.own * of_d**2).sum(1)
+
+    def gradient(self, x: FloatArray, state: None = None) -> FloatArray:
+        of_x, of_d = self._curvatures(x)
+        forces = self.both * of_d, self.both * of_x + self.own * of_d
+        return np.hstack([np.einsum("mki,mk->mi", self.K, force) for force in forces])
+
+    def hessian(self, x: FloatArray, state: None, convex: bool) -> FloatArray:
+        Kt = self.K.transpose(0, 2, 1)
+        both, own = (Kt @ (c[:, :, None] * self.K) for c in (self.both, self.own))
+        return np.block([[np.zeros_like(both), both], [both, own]])
 
 
 def components(v: FloatArray, fibres: FloatArray) -> FloatArray:

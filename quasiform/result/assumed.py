@@ -25,6 +25,10 @@ def assumed(model: Model) -> list[str]:
     used = IN_SPACE if model.sheets[0].dim == 3 else IN_SPACE[:1] + IN_SPACE[-1:] * bends
     used += ("compaction",) if model.contacts else ()
     used += ("friction",) if model.frictions else ()
+    for part in ("resistance", "stiffness", "pitch") if model.slip else ():
+        origin = fabric.provenance.get(f"slip.{part}", fabric.provenance.get("slip", "assumed"))
+        if str(origin).startswith("assumed"):
+            found.append(f"fabric.slip.{part}")
     own = {law: Fabric.preset(law).shear for law in PRESETS}
     stated = STATED if fabric.shear in own.values() else ()
     defaults = {entry.name: entry.default for entry in fields(Fabric)}

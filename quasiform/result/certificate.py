@@ -204,7 +204,8 @@ def _not_reported(model: Model, quantity: str) -> float:
 
 def trust(result: Outcome) -> list[str]:
     """What limits the numbers of a run, one sentence each, the worst first."""
-    largest, known = np.abs(result.shear_angle).max(), result.model.sheet.fabric.shear_range
+    model = result.model
+    largest, known = np.abs(result.shear_angle).max(), model.sheet.fabric.shear_range
     areas, doubts = result.blank.areas / result.blank.areas.sum(), result.sheet.doubts()
     found = []
     if largest > known:
@@ -234,6 +235,14 @@ def trust(result: Outcome) -> list[str]:
                 f"{spoken(name)} depends on in_plane_bending (assumed): {number(value)} with {r}, "
                 f"{number(changed)}{unit(name)} with {other}"
             )
+    if model.slip and doubts["rovings_may_slip"].any():
+        farthest = np.linalg.norm(result.states[-1].x[model.slip.dofs], axis=1).max()
+        share = 100 * areas @ doubts["rovings_may_slip"]
+        found.append(
+            f"rovings have slipped by {number(farthest, 2)} mm, more than a size of the mesh "
+            f"({number(share, 2)} % of the area)"
+        )
+        doubts = {k: flag for k, flag in doubts.items() if k != "rovings_may_slip"}
     for reason, flag in doubts.items():
         if reason in LIMITED and (share := areas @ flag) >= SHARE:
             shown = RESOLVED * result.blank.size

@@ -9,6 +9,7 @@ import numpy as np
 
 from ..energy.bending import Bending
 from ..energy.contact import moment
+from ..energy.slip import Slipped
 from ..model import COLLAPSE, Model
 from ..net.blank import Blank
 from .sheet import DOUBTS, FormedSheet
@@ -17,6 +18,7 @@ from .stability import buckle, local_waves, shear_stability
 FloatArray = np.ndarray
 LEAST_FORCE = 0.05  # of a contact force: a radius with less on it does not count
 LIFTED = 0.1  # of the thickness: a sheet that is lifted or buckles further has wrinkled
+GAP = 0.01  # strain across the rovings of a layer from which on they leave a gap
 SLIP_GRADIENT = 2.4
 """Shear gradient at which rovings may slip, degrees/mm: in the 45° off-axis tension test the paper
 saw slippage from u = 30 mm on, where the shear jumps by 12° between zones; over a width of 5 mm
@@ -98,15 +100,18 @@ def formed(
         "displacement": points - start,
         "contact_pressure": (force / sheet.blank.node_areas)[node],
     }
-    bare = FormedSheet(points, blank.triangles, blank.nodes, at_nodes, travel=travel)
+    bare = FormedSheet(points, blank.triangles, blank.nodes, travel=travel)
     I4, _, I8 = membrane.invariants(x)
     gamma, stability = shear_angle(model, x), shear_stability(membrane, x)[source]
-    warp, weft = bare.fibres(np.array([blank.warp, blank.weft]))
+    warp, weft = _fibres(model, x, bare)
+    slipping, at_slip = _slip(model, x)
     doubts = {
         "beyond_identified_range": np.abs(gamma) > sheet.fabric.shear_range,
         **local_waves(model, x)[0],
         "collapsed": np.abs(gamma) > np.degrees(COLLAPSE),
-        "rovings_may_slip": shear_gradient(blank, np.abs(gamma)) > SLIP_GRADIENT,
+        "rovings_may_slip": far_slipped(model, x)
+        if model.slip
+        else shear_gradient(blank, np.abs(gamma)) > SLIP_GRADIENT,
     }
     fields = {} if error is None else {"shear_angle_error": error}
     fields |= {
@@ -117,9 +122,60 @@ def formed(
         "E22": (0.5 * (I8 - 1.0))[source],
         "S12": membrane.stress(x)[source, 0, 1] * sign,
         "shear_stability": stability,
+        **slipping,
         "doubt": sum(2**bit * doubts[name].astype(float) for bit, name in enumerate(DOUBTS)),
     }
-    return replace(bare, cell_fields=fields)
+    return replace(bare, point_fields=at_nodes | at_slip, cell_fields=fields)
+
+
+def _fibres(model: Model, x: FloatArray, bare: FormedSheet) -> FloatArray:
+    """(2, m, 3) unit vectors of warp and weft, each of its own layer where these slip."""
+    blank = model.sheet.whole[0]
+    along = np.array([blank.warp, blank.weft])
+    if not model.slip:
+        return bare.fibres(along)
+    half = 0.5 * model.sheet.unfolded(x[model.slip.dofs])
+    layers = (replace(bare, points=bare.points + s * half) for s in (1.0, -1.0))
+    return np.array([layer.fibres(along)[f] for f, layer in enumerate(layers)])
+
+
+def _slip(model: Model, x: FloatArray) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
+    """Fields of slipping rovings by triangle and by node of the whole sheet; none without slip."""
+    if not model.slip:
+        return {}, {}
+    _, node, sign, source, _ = model.sheet.whole
+    E22, E11 = model.membrane.across(x)
+    slid = model.slip.along_fibres(x)[node]
+    blank = model.sheet.blank
+    for axis in ("xy".index(plane) for plane in blank.mirror):
+        slid[:, int(abs(blank.warp[axis]) < 0.5)] *= sign[:, axis]
+    at_nodes = {"slip_warp": slid[:, 0], "slip_weft": slid[:, 1]}
+    return {"E22_warp_layer": E22[source], "E11_weft_layer": E11[source]}, at_nodes
+
+
+def far_slipped(model: Model, x: FloatArray) -> np.ndarray:
+    """(m,) bool: triangles of the whole sheet that have slipped by more than a size of the mesh."""
+    blank = model.sheet.blank
+    far = np.linalg.norm(x[model.slip.dofs], axis=1) > blank.size
+    return far[blank.triangles].any(1)[model.sheet.whole[3]]
+
+
+def slip_account(model: Model, x: FloatArray, state: Slipped) -> dict[str, Any]:
+    """Largest slip (mm), energy that slip has dissipated and stores (mJ, whole sheet), and gaps.
+
+    A gap is where the strain across the rovings of a layer exceeds `GAP`; its share is of the area.
+    """
+    fields, slid = _slip(model, x)
+    areas = model.sheet.whole[0].areas
+    across = np.maximum(*fields.values())
+    found = {f"largest_{name}_mm": float(np.abs(values).max()) for name, values in slid.items()}
+    return found | {
+        "largest_mm": float(np.linalg.norm(x[model.slip.dofs], axis=1).max()),
+        "dissipated_mJ": float(state.lost.sum()) / model.share,
+        "stored_mJ": float(model.slip.energy(x, state).sum()) / model.share,
+        "gap_share": float(areas @ (across > GAP) / areas.sum()),
+        "gap_strain_p99": percentile(across, areas, 0.99),
+    }
 
 
 def shear_angle(model: Model, x: FloatArray) -> FloatArray:

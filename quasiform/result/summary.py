@@ -10,7 +10,7 @@ import numpy as np
 from ..checks import FORMAT
 from .assumed import assumed
 from .certificate import Certificate, one_of_many, trust
-from .measures import chord_penetration, max_penetration, percentile
+from .measures import chord_penetration, max_penetration, percentile, slip_account
 from .outcome import Outcome
 from .stability import local_waves
 
@@ -69,6 +69,9 @@ def summarise(result: Outcome, certificate: Certificate) -> dict[str, Any]:
         },
         "local_stability": local_waves(model, result.states[-1].x)[1],
     }
+    if model.slip:
+        state = result.memory[model.terms.index(model.slip)]
+        summary["slip"] = slip_account(model, result.states[-1].x, state)
     if model.contacts:
         summary |= _between_tools(result)
     return _finite(summary)
