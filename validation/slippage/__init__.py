@@ -1,0 +1,1 @@
+"""INSA and UN strips with slip."""
