@@ -21,6 +21,17 @@ zero = 0.35                             # where the fabric is not strained, mm; 
 preload = 1.0                           # force on it in the first row, N; "auto"
 cycle = "last"                          # or "first", "envelope", a number
 
+[slip]                                  # with method inverse: law and slip together
+pitch = 5.0                             # of the rovings, mm
+stiffness = 0.02                        # where the fit starts, N/mm³
+resistance = 0.005                      # the same, MPa; inf: elastic slip only
+
+[[tests]]
+kind = "pull-out"                       # rovings drawn out of held ones: with [slip]
+files = ["pull.csv"]
+length = 60.0                           # of the crossing, mm
+width = 20.0                            # of the drawn rovings, mm
+
 [[tests]]
 kind = "cantilever"                     # overhang and angle; or length and tip; or a profile
 family = "warp"
@@ -41,7 +52,7 @@ import numpy as np
 from pydantic import Discriminator, Field, StrictStr, Tag, create_model
 
 from ..checks import InputError, check_number, suggestion
-from ..fabric import Fabric, MomentCurve, fabric_of
+from ..fabric import Fabric, MomentCurve, Slip, fabric_of
 from ..schema import LARGEST, OPEN, Table, checked, number, path, validated
 from ..tables import read_numbers
 from ..toml_file import read_toml
@@ -51,6 +62,7 @@ from .fit import ALGORITHMS, check_kept, fit
 from .loading import Part, rows_of
 from .moment import read_moments
 from .records import Curve, mean_of, read
+from .slipping import PullOut
 from .specimen import OffAxis, PictureFrame, Specimen
 
 METHODS = {
@@ -71,6 +83,7 @@ SURE = 10.0  # twice the logarithm of a likelihood ratio that decides
 KINEMATIC = 30.0  # degrees: of strips, by Cao et al. 2008; beyond, the fibres slip
 COMPUTED = 0.2  # degrees: an angle that is nearer to the kinematic one was computed
 SHORT = 2.0  # length over width: below, the zones of a strip shear less uniformly
+WITHIN = 0.95  # of the limit of the fibres: where a fit with slip starts from the power balance
 LOWEST = 0.5  # degrees: below, a specimen settles in its grips
 
 
@@ -83,6 +96,7 @@ class ShearTest:
     curve: Curve  # their mean
     low: float = LOWEST  # smallest and largest shear angle that is used, degrees
     high: float = 90.0
+    whole: Curve | None = None  # also beyond the limit of the fibres, for a fit with slip
 
     def forces(self, thickness: float, as_printed: bool = False) -> Forces:
         """The test in the power balance; `thickness` in mm."""
@@ -104,8 +118,7 @@ class ShearTest:
                 f"{self.name}: only {rows_of(int(used.sum()))} with a positive force between "
                 f"{self.low:g} and {self.high:g} degrees of shear, expected at least 8"
             )
-        columns = {k: v[used] for k, v in vars(curve).items() if isinstance(v, np.ndarray)}
-        cut = replace(self, curve=replace(curve, **columns))
+        cut = replace(self, curve=_rows(curve, used))
         cut.forces(1.0)  # refuses rows beyond the limit of the fibres
         return cut
 
@@ -150,6 +163,8 @@ class Campaign:
     size: float = 14.0  # cell edge of the finite-element tests, mm
     standing: str = "measured"  # of the data
     sources: tuple[Path, ...] = ()  # files it was read from
+    slip: Slip | None = None  # where its fit starts
+    pulled: tuple[PullOut, ...] = ()
 
     def __post_init__(self) -> None:
         for name, known in (("method", METHODS), ("algorithm", ALGORITHMS)):
@@ -158,6 +173,10 @@ class Campaign:
                 raise InputError(f"unknown {name} {value!r}: {suggestion(str(value), known)}")
         check_number("size", self.size)
         check_kept(self.keep)
+        if self.slip and (self.method != "inverse" or self.keep or not self.shear):
+            raise InputError("[slip] needs method = 'inverse', no keep, and an off-axis test")
+        if self.pulled and not self.slip:
+            raise InputError("a pull-out test needs [slip] with the pitch of the rovings")
         if not self.shear and not self.bending:
             raise InputError("no tests: expected at least one [[tests]]")
         if self.method == "inverse" and self.algorithm != "least-squares":
@@ -256,6 +275,15 @@ class _Bending(Table):
     moments: path("Table of curvature and moment per width, with their units")
 
 
+class _PullOut(Table):
+    kind: Literal["pull-out"]
+    files: checked(_files)
+    length: Any
+    width: Any
+    columns: dict[str, StrictStr] = OPEN
+    units: dict[str, StrictStr] = OPEN
+
+
 def kind(table: Any) -> str | None:
     """Which model a test has."""
     return str(table.get("kind")) if isinstance(table, Mapping) else None
@@ -269,11 +297,18 @@ TEST = Annotated[
     Annotated[_STRIP, Tag("off-axis")]
     | Annotated[_FRAME, Tag("picture-frame")]
     | Annotated[_Cantilever, Tag("cantilever")]
-    | Annotated[_Bending, Tag("bending")],
+    | Annotated[_Bending, Tag("bending")]
+    | Annotated[_PullOut, Tag("pull-out")],
     Discriminator(kind),
 ]
 NAMES = ("thickness", "areal_weight", "bending_warp", "bending_weft", "friction")
 _Fabric = create_model("Fabric", __base__=Table, base=(Any, "locking"), **dict.fromkeys(NAMES, ANY))
+
+
+class _Slip(Table):
+    pitch: Any
+    stiffness: Any = 0.02
+    resistance: Any = 0.005
 
 
 class _File(Table):
@@ -284,6 +319,7 @@ class _File(Table):
     size: Any = OPEN
     standing: StrictStr = "measured"
     fabric: _Fabric = _Fabric()
+    slip: _Slip = OPEN
     tests: list[TEST] = []  # noqa: RUF012
 
 
@@ -291,7 +327,11 @@ def _campaign(table: Mapping[str, Any], file: Path) -> Campaign:
     """The campaign of a table; its paths are relative to `file`."""
     given = validated(_File, table, file.parent)
     fabric = _fabric(given.fabric, file.parent)
-    shear, bending, sources = [], {}, [file]
+    shear, bending, pulled, sources = [], {}, [], [file]
+    try:
+        slip = given.slip and Slip(**given.slip.model_dump())
+    except InputError as error:
+        raise InputError(f"[slip] {error}") from error
     for i, test in enumerate(given.tests, start=1):
         try:
             if isinstance(test, _Cantilever | _Bending):
@@ -302,16 +342,23 @@ def _campaign(table: Mapping[str, Any], file: Path) -> Campaign:
                 bending[test.family] = read_moments(own) if bent else _stiffness(test, fabric)
                 sources += [own] if own else []
                 continue
+            if isinstance(test, _PullOut):
+                paths = [file.parent / name for name in test.files]
+                curve = mean_of([read(path, test.columns, test.units) for path in paths])
+                pulled.append(PullOut(test.length, test.width, curve))
+                sources += paths
+                continue
             keys = test.model_dump(include=set(SIZES[test.kind]), exclude_unset=True)
             specimen = KINDS[test.kind](**keys)
         except InputError as error:
             raise InputError(f"[tests {i}] {error}") from error
         paths = [file.parent / name for name in test.files]
-        shear.append(_shear_test(test, specimen, paths))
+        shear.append(_shear_test(test, specimen, paths, slip is not None))
         sources += [path for path in paths if path not in sources]
     settings = given.model_dump(include={*SETTINGS, "standing"}, exclude_defaults=True)
     name = file.stem if given.name is None else given.name
-    return Campaign(name, fabric, tuple(shear), bending, sources=tuple(sources), **settings)
+    more = {"sources": tuple(sources), "slip": slip, "pulled": tuple(pulled)}
+    return Campaign(name, fabric, tuple(shear), bending, **more, **settings)
 
 
 def _fabric(table: Table, folder: Path) -> Fabric:
@@ -327,7 +374,7 @@ def _fabric(table: Table, folder: Path) -> Fabric:
     return replace(fabric, **given, provenance=origins | dict.fromkeys(given, "given"))
 
 
-def _shear_test(test: _Shear, specimen: Specimen, paths: list[Path]) -> ShearTest:
+def _shear_test(test: _Shear, specimen: Specimen, paths: list[Path], slips: bool) -> ShearTest:
     name = " + ".join(path.name for path in paths)
     part = Part(test.zero, test.preload, test.cycle)
     curves = [read(path, test.columns, test.units, part) for path in paths]
@@ -339,9 +386,19 @@ def _shear_test(test: _Shear, specimen: Specimen, paths: list[Path]) -> ShearTes
         curve = replace(curve, notices=(f"Taken as a {words}{end}", *curve.notices))
     if curve.per_length and test.kind == "off-axis":
         raise InputError(f"{name}: a force per length is that of a picture frame, not of a strip")
-    found = ShearTest(name, specimen, curve, test.low, test.high).cut()
+    whole = None
+    if slips and test.kind == "off-axis" and curve.displacement is not None:
+        whole, limit = _rows(curve, curve.force > 0), specimen.net.displacement_limit
+        curve = _rows(curve, curve.displacement < WITHIN * limit)
+    found = ShearTest(name, specimen, curve, test.low, test.high, whole).cut()
     words = [*_origin(found)] if test.kind == "off-axis" else []
     return replace(found, curve=replace(found.curve, notices=(*found.curve.notices, *words)))
+
+
+def _rows(curve: Curve, used: np.ndarray) -> Curve:
+    """Return some rows of a record, (n,) bool."""
+    columns = {k: v[used] for k, v in vars(curve).items() if isinstance(v, np.ndarray)}
+    return replace(curve, **columns)
 
 
 def _origin(test: ShearTest) -> Iterator[str]:

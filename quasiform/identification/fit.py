@@ -18,7 +18,7 @@ import numpy as np
 import scipy as sp  # its parts load when they are used
 
 from ..checks import InputError, check_keys, check_number
-from ..fabric import ThreeStageLaw
+from ..fabric import Slip, ThreeStageLaw
 from .energy_method import Forces, StressCurve, relative_misfit
 
 FloatArray = np.ndarray
@@ -49,6 +49,8 @@ class Fit:
     law: ThreeStageLaw
     parameters: tuple[Parameter, ...]
     misfit: float  # root mean square of the relative deviation of the forces
+    slip: Slip | None = None
+    notices: tuple[str, ...] = ()
 
     @property
     def stages(self) -> tuple[float, float]:

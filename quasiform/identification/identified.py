@@ -23,6 +23,7 @@ from .cantilever import Stiffness
 from .energy_method import StressCurve, energy_method
 from .fit import Fit, Parameter, fit
 from .inverse import identify_by_elements
+from .slipping import identify_with_slip
 
 STRESS = ("shear_angle_deg", "S12_MPa", "S12_low_MPa", "S12_high_MPa", "S12_law_MPa")
 PARAMETER = ("name", "value", "low_95", "high_95", "unit", "state")
@@ -130,7 +131,8 @@ def identify(source: str | Path | Campaign, **given: Any) -> Identification:
         curve, fitted = _shear(campaign)
         shear = curve.law() if fitted is None else fitted.law
         trusted, origin = max(test.trusted() for test in campaign.shear)
-        fabric = replace(fabric, shear=shear, shear_range=trusted)
+        slip = fabric.slip if fitted is None else fitted.slip or fabric.slip
+        fabric = replace(fabric, shear=shear, shear_range=trusted, slip=slip)
         if trusted < curve.high - 0.05:
             notices.append(
                 f"shear_range ends at {trusted:.1f} degrees, the tests at {curve.high:.1f}: "
@@ -138,7 +140,7 @@ def identify(source: str | Path | Campaign, **given: Any) -> Identification:
             )
         if fitted is not None:
             parameters += fitted.parameters
-            notices += _remarks(fitted, curve)
+            notices += [*_remarks(fitted, curve), *fitted.notices]
     for family, bent in campaign.bending.items():
         fabric, parameter, notice = _bent(fabric, family, bent)
         parameters.append(parameter)
@@ -182,7 +184,13 @@ def _shear(campaign: Campaign) -> tuple[StressCurve, Fit | None]:
     fitted = fit(forces, curve, campaign.keep, campaign.algorithm)
     if campaign.method == "inverse":
         tests = [(t.specimen, t.curve, f) for t, f in zip(campaign.shear, forces, strict=True)]
-        fitted = identify_by_elements(tests, fitted, campaign.fabric, campaign.size, campaign.keep)
+        given = fitted, campaign.fabric, campaign.size
+        if campaign.slip:
+            tests = [
+                (s, t.whole or c, f) for t, (s, c, f) in zip(campaign.shear, tests, strict=True)
+            ]
+            return curve, identify_with_slip(tests, campaign.pulled, *given, campaign.slip)
+        fitted = identify_by_elements(tests, *given, campaign.keep)
     return curve, fitted
 
 
@@ -204,6 +212,7 @@ def _tested(campaign: Campaign) -> list[str]:
     shear = ["shear"] if campaign.shear else []
     curves = [k for k, bent in campaign.bending.items() if isinstance(bent, MomentCurve)]
     bending = [f"bending_{family}" for family in campaign.bending]
+    shear += ["slip"] if campaign.slip else []
     return [*shear, *bending, *(f"moment_{family}" for family in curves)]
 
 
@@ -218,6 +227,8 @@ def _origins(campaign: Campaign, fitted: Fit | None) -> dict[str, str]:
         divisor = "thickness" if name == "shear" else "areal_weight"
         if origins[divisor].startswith(ASSUMED):
             found[name] += f", with an assumed {divisor}"
+    if campaign.slip:
+        found["slip.pitch"] = "given"
     if campaign.shear:
         found["shear_range"] = max(test.trusted() for test in campaign.shear)[1]
     for state in ("kept", "not identified", "not tested"):

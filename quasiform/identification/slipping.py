@@ -9,7 +9,17 @@ K or τ,
     df/dθ = g_θ·v,      K dx/dθ = -g_θ,      v = dx/du.
 
 K and τ lower the same forces: their intervals and their correlation show how far the tests tell
-them apart.
+them apart. A test of 5 % noise that is not there yet adds its derivatives: the test that would
+narrow the wider interval most is named.
+
+A pull-out test has them alone. Rovings of a strip of length L and width w are drawn out of held
+ones, with the stiffness EA per width and λ = √(K/EA), elastically with
+
+    F = w u √(K EA) tanh(λ L),
+
+then sliding over a length a from the pulled end, and as a whole with F = τ w L:
+
+    F = w [τ a + τ √(EA/K) tanh(λ (L - a))],    u = τ/K + (F/w) a/EA - τ a²/(2 EA).
 """
 
 from __future__ import annotations
@@ -19,18 +29,23 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy as sp  # its parts load when they are used
 
+from ..checks import InputError, check_number
 from ..energy.slip import ENDLESS, SlipWidth
 from ..fabric import Fabric, Slip, TabulatedLaw, ThreeStageLaw
-from ..solve.equilibrium import Equilibrium
+from ..scenes.fabric_tests import off_axis_tension
+from ..solve.equilibrium import Equilibrium, NotConvergedError
 from .energy_method import Forces
-from .fit import UNSEEN, Parameter, Trial, Unknowns
-from .inverse import Sheet
+from .fit import NAMES, UNSEEN, Fit, Parameter, Trial, report, search
+from .fit import Unknowns as LawUnknowns
+from .inverse import ANGLE_SIGMA, POINTS, TOLERANCE, Sheet
 from .records import Curve
 from .specimen import OffAxis
 
 FloatArray = np.ndarray
 WIDEST = 7.0  # of the logarithm of K and τ from their start
+NOISE = 0.05  # of a force, in a further test
 SURE = 1.0  # half a 95 % interval of such a logarithm: beyond, it is not identified
 
 
@@ -41,9 +56,9 @@ class SlippingLaw:
     shear: ThreeStageLaw | TabulatedLaw
     slip: Slip
 
-    def stress(self, I6: FloatArray) -> FloatArray:
-        """S12 of the shear law, MPa; same shape as `I6`."""
-        return self.shear.stress(I6)
+    def __getattr__(self, name: str) -> Any:
+        """Stress and parameters are those of the shear law."""
+        return getattr(self.shear, name)
 
 
 class Table:
@@ -68,13 +83,13 @@ class Table:
         return TabulatedLaw(self.I6, tuple(np.cumsum(p * self.steps).tolist()))
 
 
-class SlipUnknowns(Unknowns):
+class SlipUnknowns(LawUnknowns):
     """The numbers of a shear law, then the logarithms of K and τ over those of a start.
 
     Those in `keep` are not fitted, nor is a resistance that is infinite: elastic slip only.
     """
 
-    def __init__(self, of_law: Unknowns | Table, start: Slip, keep: Sequence[str] = ()) -> None:
+    def __init__(self, of_law: LawUnknowns | Table, start: Slip, keep: Sequence[str] = ()) -> None:
         self.of_law, self.slip = of_law, start
         names = [n for n in ("stiffness", "resistance") if getattr(start, n) < ENDLESS]
         self.names = names = [name for name in names if name not in keep]
@@ -105,23 +120,50 @@ class SlipUnknowns(Unknowns):
 
 
 class SlippingSheet(Sheet):
-    """The finite-element model of one off-axis test with slip."""
+    """The finite-element model of one off-axis test with slip.
+
+    Its force is smooth enough to be interpolated itself: the power balance ends at the limit of
+    inextensible fibres, beyond which slip shows best.
+    """
 
     def __init__(
-        self,
-        specimen: OffAxis,
-        curve: Curve,
-        forces: Forces,
-        fabric: Fabric,
-        size: float,
-        law: SlippingLaw,
+        self, specimen: OffAxis, curve: Curve, fabric: Fabric, size: float, slip: Slip
     ) -> None:
-        fabric = replace(fabric, slip=law.slip)
-        super().__init__(specimen, curve, forces, fabric, size, law)
+        self.curve, self.force, self.sigma = curve, curve.force, curve.sigma
+        self.fabric, u = replace(fabric, slip=slip), curve.displacement
+        sizes = specimen.length, specimen.width, float(u.max())
+        self.model = off_axis_tension(specimen.angle, self.fabric, *sizes, size)
+        self.angle = self.model.measures["shear_angle_center_deg"]
         self.width = next(t for t in self.model.terms if isinstance(t, SlipWidth))
         self.width.quadratic = False  # its Hessian changes with K
+        self.unit = self.width.H / slip.coupling  # of G = 1
         self.equilibrium = Equilibrium(self.model, tolerance=1e-6)
-        self.unit = self.width.H / law.slip.coupling  # of G = 1
+        stations = np.linspace(np.sqrt(u[0]), np.sqrt(u[-1]), POINTS)  # more where it is steep
+        self.points = stations**2
+        self.to_rows = sp.interpolate.CubicSpline(stations, np.eye(POINTS))(np.sqrt(u))
+        self.with_angle = curve.shear_angle is not None
+        self.rows = len(u) * (2 if self.with_angle else 1)
+
+    def predicted(self, law: SlippingLaw) -> FloatArray:
+        """(n,) forces of the rows; NotConvergedError as `states`."""
+        return self.to_rows @ [self._force(x) for x in self.states(law)]
+
+    def residual(self, unknowns: SlipUnknowns, p: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """As `Sheet.residual`."""
+        try:
+            states = self.states(unknowns.law(p))
+            slopes = [self._slopes(x, unknowns, p) for x in states]
+        except NotConvergedError:
+            return np.full(self.rows, np.inf), np.full((self.rows, len(p)), np.nan)
+        dforce, dangle = (np.array(part) for part in zip(*slopes, strict=True))
+        force = np.array([self._force(x) for x in states])
+        r = (self.to_rows @ force - self.force) / self.sigma
+        J = self.to_rows @ dforce / self.sigma[:, None]
+        if not self.with_angle:
+            return r, J
+        angle = np.radians([self.angle(x) for x in states])
+        off = (self.to_rows @ angle - self.curve.shear_angle) / ANGLE_SIGMA
+        return np.append(r, off), np.vstack([J, self.to_rows @ dangle / ANGLE_SIGMA])
 
     def states(self, law: SlippingLaw) -> list[FloatArray]:
         """Equilibria at the points; NotConvergedError where there is none."""
@@ -164,6 +206,124 @@ class SlippingSheet(Sheet):
         g /= term.K
         g[term.dofs] += np.where(slides, 0.0, d) * term.area[:, None]
         return g
+
+
+@dataclass(frozen=True)
+class PullOut:
+    """A pull-out test: rovings of a strip drawn out of those of the other family, which are held.
+
+    InputError if a size is not positive.
+    """
+
+    length: float  # of the crossing, L, mm
+    width: float  # of the drawn rovings, w, mm
+    curve: Curve
+    EA: float = np.nan  # stiffness of the drawn family per width, N/mm
+
+    def __post_init__(self) -> None:
+        for name in ("length", "width"):
+            check_number(name, getattr(self, name))
+
+    @property
+    def force(self) -> FloatArray:
+        """(n,) measured forces, N."""
+        return self.curve.force
+
+    def predicted(self, law: SlippingLaw) -> FloatArray:
+        """(n,) forces, N, at the displacements of the curve."""
+        K, tau, EA, L = law.slip.stiffness, law.slip.resistance, self.EA, self.length
+        rate, u = np.sqrt(K / EA), self.curve.displacement
+        elastic = u * np.sqrt(K * EA) * np.tanh(rate * L)
+        if not np.isfinite(tau):
+            return self.width * elastic
+        a = L * np.linspace(0.0, 1.0, 400)
+        F = tau * a + tau * np.sqrt(EA / K) * np.tanh(rate * (L - a))
+        at = tau / K + F * a / EA - tau * a**2 / (2 * EA)
+        return self.width * np.where(u < tau / K, elastic, np.interp(u, at, F))
+
+    def residual(self, unknowns: SlipUnknowns, p: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """As `Forces.residual`."""
+        columns = []
+        for i in range(len(p)):
+            step = 1e-5 * (np.arange(len(p)) == i) * (i >= len(unknowns.of_law.start))
+            rise = self.predicted(unknowns.law(p + step)) - self.predicted(unknowns.law(p - step))
+            columns.append(rise / (2e-5 * self.curve.sigma))
+        off = (self.predicted(unknowns.law(p)) - self.curve.force) / self.curve.sigma
+        return off, np.stack(columns, axis=-1)
+
+
+def identify_with_slip(
+    tests: Sequence[tuple[Any, Curve, Forces]],
+    pulled: Sequence[PullOut],
+    start: Fit,
+    fabric: Fabric,
+    size: float,
+    slip: Slip,
+) -> Fit:
+    """Fit law, K and τ to tests solved by finite elements of an edge `size`, mm, with slip.
+
+    The law starts from that by the power balance, K and τ from those of `slip`.
+    """
+    models: list[Any] = [
+        SlippingSheet(*test[:2], fabric, size, slip) if isinstance(test[0], OffAxis) else test[2]
+        for test in tests
+    ]
+    EA = 4.0 * float(fabric.warp.stiffness(np.ones(1), 1.0)[0]) * fabric.thickness
+    models += [replace(test, EA=EA) for test in pulled]
+    top = max(float(np.sin(forces.angles).max()) for *_, forces in tests)
+    free = NAMES if start.law.I_lo < top else NAMES[:4]
+    unknowns = SlipUnknowns(LawUnknowns(start.law, free), slip)
+    trial = search(models, unknowns, TOLERANCE)
+    parameters, correlation = slip_parameters(trial)
+    found = report(models, *trial, {})
+    notices = [f"K and τ have a correlation of {correlation:.2f}"] if len(parameters) > 1 else []
+    strips = [test[0] for test in tests if isinstance(test[0], OffAxis)]
+    if further := next_test(trial, strips, fabric, size):
+        notices.append(further)
+    law = unknowns.law(trial[1].x)
+    return replace(
+        found,
+        law=law.shear,
+        slip=law.slip,
+        parameters=(*found.parameters, *parameters),
+        notices=tuple(notices),
+    )
+
+
+def next_test(trial: Trial, strips: Sequence[OffAxis], fabric: Fabric, size: float) -> str:
+    """Sentence on the further test that would narrow the wider interval of K and τ most."""
+    unknowns, found = trial
+    law, count = unknowns.law(found.x), len(unknowns.names)
+    information = np.linalg.pinv(_covariance(found.jac, found.fun), hermitian=True)
+    u = np.linspace(0.0, 1.0, 21)[1:]
+    offers = {}
+    if strips:
+        for angle in {45.0, 30.0} - {strip.angle for strip in strips}:
+            try:
+                strip = replace(strips[0], angle=angle)
+            except InputError:  # a fibre would join both grips
+                continue
+            at = strip.net.displacement_limit * u
+            curve = Curve(np.ones(20), at, None, np.ones(20))
+            sheet = SlippingSheet(strip, curve, fabric, size, law.slip)
+            offers[f"an off-axis test at {angle:g}°"] = sheet
+    EA = 4.0 * float(fabric.warp.stiffness(np.ones(1), 1.0)[0]) * fabric.thickness
+    if np.isfinite(law.slip.resistance):
+        end = 2.0 * (law.slip.resistance / law.slip.stiffness + law.slip.resistance * 1e4 / EA)
+        offers["a pull-out test over 100 mm"] = PullOut(
+            100.0, 20.0, Curve(np.ones(20), end * u, None, np.ones(20)), EA
+        )
+    half = {}
+    for name, model in offers.items():
+        r, J = model.residual(unknowns, found.x)
+        J = J / (NOISE * (r + 1.0))[:, None]  # r is the force less one
+        if np.isfinite(J).all():
+            C = np.linalg.pinv(information + J.T @ J, hermitian=True)[-count:, -count:]
+            half[name] = 1.96 * float(np.sqrt(np.diag(C).max()))
+    if not half:
+        return ""
+    best = min(half, key=lambda name: half[name])
+    return f"{best} would narrow the wider interval of K and τ most, to ± {100 * half[best]:.0f} %"
 
 
 def slip_parameters(found: Trial) -> tuple[list[Parameter], float]:

@@ -16,7 +16,6 @@ from quasiform.identification.energy_method import Forces, energy_method
 from quasiform.identification.fit import Trial, search
 from quasiform.identification.records import Curve
 from quasiform.identification.slipping import (
-    SlippingLaw,
     SlippingSheet,
     SlipUnknowns,
     Table,
@@ -56,9 +55,7 @@ def fitted(
     unknowns = SlipUnknowns(table, slip, () if with_slip else ("stiffness",))
     fabric = replace(qf.Fabric(), thickness=thickness, in_plane_bending=0.0)
     curve = replace(bare, shear_angle=np.radians(angle[0]) if angle else None)
-    start = SlippingLaw(table.law(table.start), slip)
-    size = specimen.width / SIZES
-    sheet = SlippingSheet(specimen, curve, forces, fabric, size, start)
+    sheet = SlippingSheet(specimen, curve, fabric, specimen.width / SIZES, slip)
     trial = search([sheet], unknowns, 1e-4)
     law = unknowns.law(trial[1].x)
     end = float(np.degrees(curve.shear_angle.max())) if angle else KINEMATIC
