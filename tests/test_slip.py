@@ -271,3 +271,87 @@ def test_trust_warns_of_slip_beyond_a_cell():
     far = qf.solve(strip(displacement=40.0, size=10.0, angle=30.0), estimate=False)
     assert far.summary()["slip"]["largest_mm"] > 10.0
     assert any("slipped by" in words for words in far.summary()["trust"])
+
+
+def test_pull_out_in_closed_form():
+    """Continuous and rising from the elastic slope to the plateau; its work is that of the path."""
+    from quasiform.identification.records import Curve
+    from quasiform.identification.slipping import PullOut, SlippingLaw
+
+    L, width, EA, slip = 80.0, 20.0, 400.0, qf.Slip(0.05, 0.2, 5.0)
+    rate = np.sqrt(slip.stiffness / EA)
+    u = np.linspace(0.0, 1.5, 6001)
+    curve = Curve(np.ones(len(u)), u, None, np.ones(len(u)))
+    F = PullOut(L, width, curve, EA).predicted(SlippingLaw(PLAIN.shear, slip))
+    elastic = width * np.sqrt(slip.stiffness * EA) * np.tanh(rate * L)
+    start = u < slip.resistance / slip.stiffness
+    assert_allclose(F[start], elastic * u[start])
+    assert F[-1] == pytest.approx(slip.resistance * width * L)
+    assert (np.diff(F) >= 0).all()
+    assert np.diff(F).max() < 1.001 * elastic * (u[1] - u[0])
+    # the same by finite differences: EA u'' = K u up to the limit, τ beyond; u' = 0 at the far end
+    s, h = np.linspace(0.0, L, 1601, retstep=True)
+    D = (np.diag(np.full(1600, 1.0), 1) + np.diag(np.full(1600, 1.0), -1)) - 2 * np.eye(1601)
+    D[-1, -2] = 2.0
+    v, pulled = np.zeros(1601), 0.6
+    for _ in range(60):
+        slides = slip.stiffness * v > slip.resistance
+        A, b = EA / h**2 * D, np.where(slides, slip.resistance, 0.0)
+        A[~slides, ~slides] -= slip.stiffness
+        A[0], b[0] = 0.0, pulled
+        A[0, 0] = 1.0
+        v = np.linalg.solve(A, b)
+    # force at the pulled end by the equilibrium of the whole strip
+    q = np.minimum(slip.stiffness * v, slip.resistance)
+    assert np.interp(pulled, u, F) == pytest.approx(width * np.trapezoid(q, s), rel=1e-3)
+
+
+def test_law_and_slip_are_identified_together(tmp_path):
+    """From two strips that were computed with the memory of slip; and a pull-out alone beside."""
+    true, rng = qf.Slip(0.005, 0.02, 5.0), np.random.default_rng(0)
+    fabric = replace(qf.Fabric.preset("best-fit"), slip=true)
+    text = 'method = "inverse"\nsize = 20.0\n[fabric]\nthickness = 1.004\n[slip]\npitch = 5.0\n'
+    text += "stiffness = 0.01\nresistance = 0.01\n"
+    for angle, u in ((45.0, 65.0), (30.0, 30.0)):
+        model = qf.off_axis_tension(angle, fabric, displacement=u, size=20.0)
+        history = qf.solve(model, increment=1.0, estimate=False).history
+        rows = np.column_stack([history["displacement_mm"], history["force_N"]])
+        rows[0, 1] = 0.0
+        rows[:, 1] *= 1.0 + 0.002 * rng.normal(size=len(rows))
+        name = f"{angle:g}.csv"
+        np.savetxt(tmp_path / name, rows, delimiter=",", header="displacement [mm],force [N]")
+        text += f'[[tests]]\nkind = "off-axis"\nfiles = ["{name}"]\nangle = {angle}\nzero = 0.0\n'
+    (tmp_path / "campaign.toml").write_text(text, encoding="utf-8")
+    found = qf.identify(tmp_path / "campaign.toml")
+    slip = found.fabric.slip
+    assert slip.stiffness == pytest.approx(true.stiffness, rel=0.1)
+    assert slip.resistance == pytest.approx(true.resistance, rel=0.1)
+    assert slip.pitch == 5.0
+    parameters = {p.name: p for p in found.parameters}
+    for name in ("slip.stiffness", "slip.resistance"):
+        assert parameters[name].state == "fitted"
+        assert parameters[name].low < parameters[name].value < parameters[name].high
+    assert any("correlation of -" in words for words in found.notices)
+    assert any("would narrow the wider interval" in words for words in found.notices)
+    assert found.fabric.provenance["slip"] == "measured"
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (('method = "inverse"', 'method = "fit"'), "[slip] needs method = 'inverse'"),
+        (("pitch = 5.0", ""), "[slip] pitch missing"),
+        (("pitch = 5.0", "pitch = -1.0"), "[slip] pitch must be a positive number"),
+    ],
+)
+def test_wrong_campaigns_with_slip(change, words, tmp_path):
+    text = (
+        'method = "inverse"\n[slip]\npitch = 5.0\n[[tests]]\nkind = "off-axis"\nfiles = ["a.csv"]'
+    )
+    u = np.linspace(0.0, 30.0, 31)
+    table = np.column_stack([u, 5 * np.sqrt(u)])
+    np.savetxt(tmp_path / "a.csv", table, delimiter=",", header="displacement [mm],force [N]")
+    (tmp_path / "c.toml").write_text(text.replace(*change), encoding="utf-8")
+    with pytest.raises(qf.InputError) as error:
+        qf.identify(tmp_path / "c.toml")
+    assert words in str(error.value)

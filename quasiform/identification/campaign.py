@@ -83,6 +83,7 @@ SURE = 10.0  # twice the logarithm of a likelihood ratio that decides
 KINEMATIC = 30.0  # degrees: of strips, by Cao et al. 2008; beyond, the fibres slip
 COMPUTED = 0.2  # degrees: an angle that is nearer to the kinematic one was computed
 SHORT = 2.0  # length over width: below, the zones of a strip shear less uniformly
+START = 1e-3  # of the last displacement: an earlier row has no force to speak of
 WITHIN = 0.95  # of the limit of the fibres: where a fit with slip starts from the power balance
 LOWEST = 0.5  # degrees: below, a specimen settles in its grips
 
@@ -388,7 +389,8 @@ def _shear_test(test: _Shear, specimen: Specimen, paths: list[Path], slips: bool
         raise InputError(f"{name}: a force per length is that of a picture frame, not of a strip")
     whole = None
     if slips and test.kind == "off-axis" and curve.displacement is not None:
-        whole, limit = _rows(curve, curve.force > 0), specimen.net.displacement_limit
+        begun = (curve.force > 0) & (curve.displacement > START * curve.displacement.max())
+        whole, limit = _rows(curve, begun), specimen.net.displacement_limit
         curve = _rows(curve, curve.displacement < WITHIN * limit)
     found = ShearTest(name, specimen, curve, test.low, test.high, whole).cut()
     words = [*_origin(found)] if test.kind == "off-axis" else []
