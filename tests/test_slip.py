@@ -310,10 +310,10 @@ def test_law_and_slip_are_identified_together(tmp_path):
     """From two strips that were computed with the memory of slip; and a pull-out alone beside."""
     true, rng = qf.Slip(0.005, 0.02, 5.0), np.random.default_rng(0)
     fabric = replace(qf.Fabric.preset("best-fit"), slip=true)
-    text = 'method = "inverse"\nsize = 20.0\n[fabric]\nthickness = 1.004\n[slip]\npitch = 5.0\n'
+    text = 'method = "inverse"\nsize = 40.0\n[fabric]\nthickness = 1.004\n[slip]\npitch = 5.0\n'
     text += "stiffness = 0.01\nresistance = 0.01\n"
     for angle, u in ((45.0, 65.0), (30.0, 30.0)):
-        model = qf.off_axis_tension(angle, fabric, displacement=u, size=20.0)
+        model = qf.off_axis_tension(angle, fabric, displacement=u, size=40.0)
         history = qf.solve(model, increment=1.0, estimate=False).history
         rows = np.column_stack([history["displacement_mm"], history["force_N"]])
         rows[0, 1] = 0.0
