@@ -143,8 +143,9 @@ class SlipResistance(Term):
         return components(x[self.dofs], self._fibres(x)) * [1.0, -1.0]
 
     def _at(self, x: FloatArray, state: Slipped) -> tuple[FloatArray, ...]:
-        """D - p (n, dim), its length (n,), and by how much that exceeds the elastic limit (n,)."""
+        """Slip d - p in the sheet (n, dim), its length, and what of that exceeds the limit (n,)."""
         d = x[self.dofs] - state.p
+        d -= (state.normal * d).sum(1)[:, None] * state.normal
         r = np.sqrt((d * d).sum(1))
         return d, r, np.maximum(r - self.tau / self.K, 0.0)
 
@@ -167,9 +168,9 @@ class SlipResistance(Term):
         d, r, over = self._at(x, state)
         t = d / np.maximum(r, 1e-300)[:, None]
         ring = self.tau / np.maximum(np.maximum(r, self.tau / self.K), 1e-300)  # K up to the limit
-        H = ring[:, None, None] * np.eye(d.shape[1])
+        nn = state.normal[:, :, None] * state.normal[:, None]
+        H = ring[:, None, None] * (np.eye(d.shape[1]) - nn) + self.kn * nn
         H -= np.where(over > 0, ring, 0.0)[:, None, None] * t[:, :, None] * t[:, None]
-        H += self.kn * state.normal[:, :, None] * state.normal[:, None]
         return self.area[:, None, None] * H
 
 
