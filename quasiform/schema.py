@@ -96,11 +96,17 @@ def _one_line(error: ErrorDetails, table: Any) -> str:
     name = f"[{dotted(path[:-1])}] {path[-1]}" if named else dotted(path)
     if kind in ("literal_error", "union_tag_invalid"):
         known = re.findall(r"'(.*?)'", context.get("expected") or context["expected_tags"])
+        known = [word for word in known if word[0] != "("]  # chosen by another key
         if got is None:
             return f"{name} missing: expected one of {', '.join(known)}"
         return f"{name} = {got!r}: {suggestion(got if isinstance(got, str) else '', known)}"
+    if kind.startswith("int"):
+        kind = "int"
     words = {
         "missing": "missing",
+        "int": f"must be a whole number, got {got!r}",
+        "greater_than_equal": f"must be at least {context.get('ge')}, got {got!r}",
+        "less_than_equal": f"must not exceed {context.get('le')}, got {got!r}",
         "bool_type": f"= {got!r}: expected true or false",
         "string_type": f"must be a text, got {got!r}",
         "float_type": f"must be a number, got {got!r}",

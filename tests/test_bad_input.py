@@ -453,7 +453,12 @@ BASES = [tomllib.loads(scene) for scene in (ROUND, RICH)]
 BUILT_IN = [tomllib.loads(path.read_text("utf-8")) for path in sorted(FOLDER.glob("*.toml"))]
 HELD = {"supports": [{"side": "-x", "fix": "xyz"}], "outputs": {"pictures": False}}
 HELD["grippers"] = [{"side": "+x", "tension": 5.0, "stiffness": 0.1}]
-SCENES = [*BASES, *BUILT_IN, BASES[0] | HELD]
+NOTCH = {"shape": "disc", "radius": 12.0, "centre": [80.0, 0.0]}
+NOTCHED = {"blank": BASES[0]["blank"] | {"holes": [NOTCH]}, "outputs": {"pictures": False}}
+NOTCHED["grippers"] = [{"box": [60.0, -80.0, 80.0, 80.0], "tension": 5.0}]
+ROWS = {"force": [[0.0, 10.0], [5.0, 50.0], [8.0, 5.0]]}
+NOTCHED["tools"] = BASES[0]["tools"] | {"holder": BASES[0]["tools"]["holder"] | ROWS}
+SCENES = [*BASES, *BUILT_IN, BASES[0] | HELD, BASES[0] | NOTCHED]
 JSON_SCHEMA = jsonschema.Draft202012Validator(json_schema())
 
 

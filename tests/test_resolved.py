@@ -142,8 +142,9 @@ def test_resume_names_the_tool_that_has_changed(formed, tmp_path):
     ("key", "words"),
     [
         ("tools.holder.mas", "unknown key 'mas': did you mean 'mass'?"),
-        ("tools.holdr.mass", "unknown table 'holdr': did you mean 'holder'?"),
-        ("tool.holder.mass", "unknown table 'tool': did you mean 'tools'?"),
+        ("tools.holdr.mass", "there is no 'holdr' in the scene: did you mean 'holder'?"),
+        ("grippers.1.box", "no 'grippers' in the scene: expected one of blank, tools, areas"),
+        ("tool.holder.mass", "there is no 'tool' in the scene: did you mean 'tools'?"),
         ("travl", "unknown key 'travl': did you mean 'travel'?"),
         ("fabric.frictoin", "unknown key 'frictoin': did you mean 'friction'?"),
         ("fabric.shear.C_in", "unknown key 'C_in': did you mean 'C_ini'?"),
@@ -154,6 +155,24 @@ def test_resume_names_the_tool_that_has_changed(formed, tmp_path):
 def test_a_misspelt_key_is_refused_with_a_suggestion(key, words):
     with pytest.raises(InputError) as refused:
         qf.forming("hemisphere", overrides={key: 8.0})
+    assert words in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("run.seeds", "x", "seeds must be a whole number, got 'x'"),
+        ("run.seeds", True, "seeds must be a whole number, got True"),
+        ("run.seeds", 0, "seeds must be at least 1, got 0"),
+        ("run.seeds", 5000, "seeds must not exceed 1000, got 5000"),
+        ("blank.shape", "x", "shape = 'x': expected one of rectangle, disc, polygon, file"),
+        ("tools.punch.shape", "x", "shape = 'x': expected one of round punch, box punch, "),
+        ("blank.holes.1.radius", 3.0, "there is no 'holes' in the scene"),
+    ],
+)
+def test_a_value_that_cannot_be_is_refused_in_plain_words(key, value, words):
+    with pytest.raises(InputError) as refused:
+        qf.forming("hemisphere", overrides={key: value})
     assert words in str(refused.value)
 
 

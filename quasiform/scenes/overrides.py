@@ -74,5 +74,7 @@ def _key(table: Any, part: str, name: str, there: bool = False) -> Any:
             raise InputError(f"{name}: expected a number from 1 to {len(table)}, got '{part}'")
         return int(part) - 1
     if there and part not in table:
-        raise InputError(f"{name}: unknown table '{part}': {suggestion(part, table)}")
+        tables = [k for k, v in table.items() if isinstance(v, dict | list) and "value" not in v]
+        remedy = f": {suggestion(part, tables)}" if tables else ""
+        raise InputError(f"{name}: there is no '{part}' in the scene{remedy}")
     return part

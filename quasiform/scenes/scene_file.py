@@ -126,12 +126,12 @@ def shape(table: Any) -> str | None:
         return None
     mesh = table.get("mesh")
     own = isinstance(mesh, str) and "." in mesh and "shape" not in table
-    return "own mesh" if own else str(table.get("shape"))
+    return "(own mesh)" if own else str(table.get("shape"))
 
 
 def tool_shape(table: Any) -> str | None:
     """Which model a tool has."""
-    return "surface file" if isinstance(table, Mapping) and "file" in table else shape(table)
+    return "(surface file)" if isinstance(table, Mapping) and "file" in table else shape(table)
 
 
 # Blank
@@ -299,8 +299,8 @@ class _Outputs(Table):
     increments: _flag("Whether each row has its .vtu file") = True
 
 
-_OWN_MESH = Annotated[_OwnMesh, Tag("own mesh")]
-_FROM_FILE = Annotated[_FromFile, Tag("surface file")]
+_OWN_MESH = Annotated[_OwnMesh, Tag("(own mesh)")]
+_FROM_FILE = Annotated[_FromFile, Tag("(surface file)")]
 FAR_OFF = FAR / 4  # mm; a straight tool ends at FAR
 
 
@@ -309,7 +309,7 @@ class Run(Table):
 
     increment: number("Increment of the travel; chosen by the program if left out", "mm") = OPEN
     accuracy: number("Refine until the error of the shear angle (p99) is below", "deg") = OPEN
-    seeds: Annotated[int, Field(ge=1, le=1000, description="Perturbed starts")] = OPEN
+    seeds: Annotated[int, Field(strict=True, ge=1, le=1000, description="Perturbed starts")] = OPEN
     linear: _word("Linear solver", "auto", "pardiso", "superlu") = "auto"
     one_mesh: _flag("Whether the whole path is followed on this mesh") = False
     estimate: _flag("Whether the error of the mesh is estimated") = True
