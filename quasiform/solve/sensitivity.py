@@ -6,10 +6,10 @@ parameter p + h is followed over the same increments: from the x of the run
 
     K δx = -[R(x; m + δm, p + h) - R(x; m, p)],   K = ∂g/∂x + ∂g/∂m ∂refresh/∂x,
 
-and again from x + δx where h is not small beside what is left of R. Its states are those that its
-own terms commit. K is the whole tangent, not symmetric where there is friction: one factorisation
-an increment, and one back-substitution a parameter. The recipe builds the model with p + h, so
-every number in it is a parameter.
+and again from x + δx where that leaves a residual. Its own terms commit its states. K is the whole
+tangent, not symmetric where there is friction: one or two factorisations an increment (the first
+brings x to R = 0), and one or two back-substitutions a parameter. The recipe builds the model with
+p + h, so every number in it is a parameter.
 
 Derivatives are those within a branch: the points that touch, stick and slip stay the same.
 """
