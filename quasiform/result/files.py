@@ -16,10 +16,10 @@ from ..checks import InputError
 INCREMENTS = "increment_*.vtu"
 LOCK = ".lock"
 RESUME = "resume.npz"
-PICTURES = ("shear_angle.png", "history.png", "doubt.png", "gaps.png")
+PICTURES = ("shear_angle.png", "history.png", "doubt.png")
 SCENE = "scene.toml"
 TABLES = ("summary.json", SCENE, "history.csv", "outline.csv")
-FILES = (*TABLES, "result.vtu", "result.pvd", *PICTURES, RESUME)
+FILES = (*TABLES, "result.vtu", "result.pvd", *PICTURES, "gaps.png", RESUME)
 
 
 class Claim:
