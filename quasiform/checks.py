@@ -123,6 +123,17 @@ def optional(module: str, extra: str, need: str) -> Any:
 
 
 @contextmanager
+def interruptible() -> Iterator[None]:
+    """Raise the Ctrl-C that arrived in compiled code, which reports it as a SystemError."""
+    try:
+        yield
+    except SystemError as error:
+        if isinstance(error.__cause__, KeyboardInterrupt):
+            raise error.__cause__ from None
+        raise
+
+
+@contextmanager
 def naming(path: str | Path) -> Iterator[None]:
     """Name the file, once, in every refusal."""
     try:

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 import quasiform as qf
+from quasiform.checks import interruptible
 from quasiform.console.cli import main
 from quasiform.result.files import FILES
 from quasiform.scenes import scene_file
@@ -341,3 +342,13 @@ def test_a_disk_that_is_full_from_the_start_is_one_line(tmp_path, monkeypatch, c
     assert main(["oat", "--size", "40", "--displacement", "20", "--out", out]) == 3
     last = capsys.readouterr().out.strip().splitlines()[-1]
     assert last == f"stopped at 0 of 20 mm: cannot write to {out}: No space left on device"
+
+
+def test_an_interrupt_in_compiled_code_is_one():
+    def interrupted(cause):
+        error = SystemError("returned a result with an exception set")
+        raise error from cause
+
+    for cause, kind in ((KeyboardInterrupt(), KeyboardInterrupt), (ValueError(), SystemError)):
+        with pytest.raises(kind), interruptible():
+            interrupted(cause)

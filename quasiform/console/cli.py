@@ -30,7 +30,7 @@ from cyclopts.validators import LimitedChoice, Number
 
 import quasiform as qf
 
-from ..checks import InputError, check_number, suggestion
+from ..checks import InputError, check_number, interruptible, suggestion
 from . import terminal
 
 if TYPE_CHECKING:
@@ -59,7 +59,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         if not words:
             names = [name for name in app if not name.startswith("-")]
             raise InputError(f"expected a command: {' or '.join(names)} (see --help)")
-        done = app(words, print_error=False, exit_on_error=False, result_action="return_value")
+        with interruptible():
+            done = app(words, print_error=False, exit_on_error=False, result_action="return_value")
         return done or 0
     except CycloptsError as error:
         message = str(InputError(_one_line(error)))

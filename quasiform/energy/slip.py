@@ -32,8 +32,9 @@ from .bending import Bending
 from .membrane import Membrane, along_fibres, dot
 from .term import Standing, Term
 
-TOGETHER = 0.1  # N/mm³: k_n, which parts layers by about 0.1 mm; its normal is lagged, so that a
-# stiffer one (10 N/mm³, the compaction) does not settle where slip of some mm turns
+# k_n, of the compaction: it parts layers by about 0.1 mm. Its normal is lagged, so that a stiffer
+# one (the compaction itself) does not settle where slip of some mm turns.
+TOGETHER = 0.01
 ENDLESS = 1e99  # MPa: the resistance of rovings that only slip elastically
 
 
@@ -78,7 +79,7 @@ class SlipResistance(Term):
         self.name, self.sheet, self.dofs = sheet.named("slip"), sheet, slip.dofs
         self.area, self.places = blank.node_areas, blank.nodes
         self.K, self.tau = given.stiffness, min(given.resistance, ENDLESS)
-        self.kn = TOGETHER if sheet.dim == 3 else 0.0
+        self.kn = TOGETHER * sheet.fabric.compaction if sheet.dim == 3 else 0.0
         nodes, n = blank.basis.element_dofs.T, len(blank.nodes)
         grad = np.stack([phi[0].grad[:, :, 0] for phi in blank.basis.basis])  # (3, 2, m)
         at = np.repeat(nodes, 3, axis=1).ravel(), np.tile(nodes, 3).ravel()

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..checks import InputError
+from ..checks import InputError, interruptible
 from ..model import Model
 from ..result.run import Result
 from .equilibrium import Equilibrium
@@ -96,7 +96,8 @@ def follow(
     while not reason and run.travel < model.travel * (1 - 1e-12):
         s = run.travel
         try:
-            reason = steps.take()
+            with interruptible():
+                reason = steps.take()
             if run.travel == s:
                 continue
             failed = record()
