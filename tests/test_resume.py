@@ -305,7 +305,7 @@ def test_a_result_is_kept_before_its_error_is_estimated(tmp_path, monkeypatch):
     summary = readable(tmp_path)
     assert summary["status"] == "completed"
     assert summary["estimated_errors"]["force_N"] is None
-    for name in FILES:
+    for name in set(FILES) - {"gaps.png"}:  # of a fabric with slip
         assert (tmp_path / name).exists(), name
     monkeypatch.undo()
     result = qf.solve(forming(), out=tmp_path, resume=True)

@@ -265,7 +265,9 @@ def test_refused_scenes_and_functions(tmp_path):
     cup = CUP | {"vary": {"tools.holder.mas": [4.0]}}
     with pytest.raises(qf.InputError, match="unknown key 'mas': did you mean 'mass'"):
         qf.study(cup, out=tmp_path)
-    with pytest.raises(qf.InputError, match="unknown table 'holdr': did you mean 'holder'"):
+    with pytest.raises(
+        qf.InputError, match="there is no 'holdr' in the scene: did you mean 'holder'"
+    ):
         qf.study(CUP | {"vary": {"tools.holdr.mass": [4.0]}}, out=tmp_path)
     with pytest.raises(qf.InputError, match="scene missing"):
         qf.study({"outputs": ["force_N"], "vary": {"travel": [4.0]}}, out=tmp_path)
