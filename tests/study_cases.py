@@ -33,6 +33,29 @@ def mortal(displacement):
     return recipe.including(deadly) if displacement == 6.0 else recipe
 
 
+def dying(folder, resume=False):
+    """Study with the run that kills its worker."""
+    study = {"outputs": ["force_N"], "vary": {"displacement": [5.0, 6.0, 7.0]}}
+    return qf.study(study, out=folder, case=mortal, resume=resume)
+
+
+def dying_again(folder):
+    return dying(folder, resume=True)
+
+
+def idle(folder):
+    """Study whose workers are killed when they have nothing to do."""
+
+    def kill(step):
+        for child in multiprocessing.active_children():
+            os.kill(child.pid, signal.SIGKILL)
+            child.join()
+
+    study = {"kind": "oat", "size": 40.0, "estimate": False, "outputs": ["force_N"]}
+    study["vary"] = {"displacement": [4.0, 5.0, 6.0, 7.0]}
+    return qf.study(study, out=folder, callback=kill)
+
+
 def changed(displacement):
     return strip(displacement).including(stiffer)
 

@@ -3,10 +3,8 @@
 import csv
 import hashlib
 import json
-import multiprocessing
 import os
 import re
-import signal
 import subprocess
 import sys
 import time
@@ -141,27 +139,37 @@ def test_finished_runs_are_not_repeated(tmp_path):
     assert all(table["shear_angle_deg.max"])  # other outputs need no other run
 
 
-def test_a_worker_that_dies_is_replaced(tmp_path, monkeypatch):
-    study = {"outputs": ["force_N"], "vary": {"displacement": [5.0, 6.0, 7.0]}}
-    table = qf.study(study, out=tmp_path, case=study_cases.mortal)
+def apart(call, folder, **environment):
+    """Table of `study_cases.call(folder)` in a process of its own: its workers are killed."""
+    code = f"import json; from tests import study_cases; print(json.dumps({call}({str(folder)!r})))"
+    code = code.replace(call, f"study_cases.{call}")
+    run = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=ROOT,
+        env=os.environ | environment,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert run.returncode == 0, run.stderr
+    return json.loads(run.stdout)
+
+
+def test_a_worker_that_dies_is_replaced(tmp_path):
+    table = apart("dying", tmp_path)
     assert table["status"] == ["completed", "failed", "completed"]
     assert table["reason"][1] == "worker died"
-    monkeypatch.setenv(study_cases.FLAG, str(tmp_path / "flag"))  # now it dies once
-    again = qf.study(study, out=tmp_path, case=study_cases.mortal)
+    once = {study_cases.FLAG: str(tmp_path / "flag")}  # now it dies once
+    again = apart("dying", tmp_path, **once)
     assert again == table  # a failure is a row, which is not repeated either
-    again = qf.study(study, out=tmp_path, case=study_cases.mortal, resume=True)
+    again = apart("dying_again", tmp_path, **once)
     assert again["status"] == ["completed"] * 3
     assert (tmp_path / "flag").exists()
     assert len(lines(tmp_path)) == 4
 
 
 def test_an_idle_worker_that_dies_is_replaced(tmp_path):
-    def kill(step):
-        for child in multiprocessing.active_children():
-            os.kill(child.pid, signal.SIGKILL)
-            child.join()
-
-    assert qf.study(FOUR, out=tmp_path, callback=kill)["status"] == ["completed"] * 4
+    assert apart("idle", tmp_path)["status"] == ["completed"] * 4
 
 
 @pytest.mark.parametrize("finished", [0, 1, 3])
