@@ -779,8 +779,7 @@ def _solve(model: qf.Model, solver: Solver, run: Mapping[str, Any] = MappingProx
         return _run(model, journal)
     from . import forecast
 
-    names = "one_mesh", "linear", "seeds", "increment", "estimate"
-    found = forecast.meshes(model, *(options[name] for name in names))
+    found = forecast.asked(model, options)
     lines = [terminal.describe(model), f"  expected time: {forecast.words(found)}"]
     if options["accuracy"]:
         lines.append("  and longer where --accuracy asks for a finer mesh than that")

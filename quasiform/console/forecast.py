@@ -27,9 +27,7 @@ if TYPE_CHECKING:
 # tetrahedron and box at sizes of 5 to 20 mm (17 to 107), 3 of off-axis tension (6 to 17)
 WITH_TOOLS, IN_PLANE = 36.0, 9.0
 CARRIED = 62.0  # for the end on a finer mesh (34 to 194)
-COST = (
-    1.5  # time of a factorisation in a run, with all that belongs to it, by that of the step here
-)
+COST = 1.5  # time of a factorisation in a run, with all that belongs to it, by that timed here
 LEAST, MOST = 0.3, 6.0  # of the expected time: between them lay those runs
 TIMED, LONG = 3, 0.1  # steps that are timed, fewer where they take so many seconds
 
@@ -91,6 +89,12 @@ def words(found: tuple[Mesh, ...] | None) -> str:
     )
 
 
+def asked(model: Model, options: Mapping[str, Any]) -> tuple[Mesh, ...] | None:
+    """Meshes of a run with the options of `solve.asked`, as `meshes`."""
+    names = "one_mesh", "linear", "seeds", "increment", "estimate"
+    return meshes(model, *(options[name] for name in names))
+
+
 def study(plan: Plan, jobs: Sequence[Job], rows: Mapping[str, Any]) -> str:
     """Return how many runs a study has still to solve, and how long they will take, as text."""
     impossible = sum(bool(job.error) for job in plan.jobs)
@@ -102,8 +106,7 @@ def study(plan: Plan, jobs: Sequence[Job], rows: Mapping[str, Any]) -> str:
     seconds = float(np.mean(taken)) if taken else None
     if seconds is None:
         model, options = plan.first
-        names = "one_mesh", "linear", "seeds", "increment", "estimate"
-        found = meshes(model, *(options[name] for name in names))
+        found = asked(model, options)
         seconds = sum(mesh.solves * mesh.seconds for mesh in found) if found else None
     if seconds is None:
         return f"{text}; the time is not known: the first model has no tangent at its start"

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..checks import InputError
-from .certificate import Certificate, certify, one_of_many
+from .certificate import Certificate, certify, one_of_many, unit
 from .estimate import judged
 from .files import SCENE, replaced
 from .outcome import Outcome, State
@@ -105,9 +105,9 @@ class Result(Outcome):
         head = f"<tr><th>{escape(self.model.name)}</th><th>{self.status}</th><th>± mesh</th></tr>"
         columns = [self.table()[name] for name in ("quantity", "value", "estimated_error", "unit")]
         rows = [
-            f"<tr><td>{escape(name)}</td><td>{value:.4g} {unit}</td>"
+            f"<tr><td>{escape(name)}</td><td>{value:.4g} {of}</td>"
             f"<td>{'' if error is None else f'{error:.2g}'}</td></tr>"
-            for name, value, error, unit in zip(*columns, strict=True)
+            for name, value, error, of in zip(*columns, strict=True)
         ]
         worth = escape(self.reason or str(self.certified))
         return f"<table>{head}{''.join(rows)}</table><p>{worth}</p>"
@@ -132,7 +132,7 @@ class Result(Outcome):
             "quantity": list(found),
             "value": list(found.values()),
             "estimated_error": [self.estimate.get(name) for name in found],
-            "unit": [name.rpartition("_")[2].replace("deg", "°") for name in found],
+            "unit": [unit(name).strip() for name in found],
         }
 
     def sensitivity(

@@ -128,13 +128,17 @@ def forming(
 
 def fitting(size: float, outline: shapely.Polygon) -> float:
     """Return the spacing next to `size` that fits half of the shorter side of an outline, mm."""
-    half = 0.5 * float(np.ptp(np.reshape(outline.bounds, (2, 2)), axis=0).min())
+    half = 0.5 * _shorter_side(outline)
     return half / max(round(half / size), 1)
 
 
 def usual_length(outline: shapely.Polygon) -> float:
     """Default size and increment, mm: a round length near 1/60 of the blank's shorter side."""
-    return round_length(float(np.ptp(np.reshape(outline.bounds, (2, 2)), axis=0).min()) / 60)
+    return round_length(_shorter_side(outline) / 60)
+
+
+def _shorter_side(outline: shapely.Polygon) -> float:
+    return float(np.ptp(np.reshape(outline.bounds, (2, 2)), axis=0).min())
 
 
 def _own_outline(file: SceneFile) -> shapely.Polygon:
@@ -152,8 +156,7 @@ def formed_between_tools(
         free_mesh.check_same_size(size, like and like.size)
         own = free_mesh.own_mesh(file.mesh, orientation, file.mesh_scale)
     outline = free_mesh.outline_of(own) if own else file.outline
-    low_x, low_y, high_x, high_y = outline.bounds
-    if not own and size > (largest := min(high_x - low_x, high_y - low_y) / 8):
+    if not own and size > (largest := _shorter_side(outline) / 8):
         raise InputError(f"size must not exceed an eighth of the blank, {largest:g}, got {size:g}")
     usual = usual_length(outline)
     increments = {"largest": file.increment or usual, "rows": file.rows or usual}
