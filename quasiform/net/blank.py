@@ -382,9 +382,16 @@ def _lines_from(anchor: float, stops: FloatArray, size: float) -> FloatArray:
     """Coordinates of fibre lines `size` apart, one of them at the `anchor`, and at all `stops`.
 
     A line nearer than `APART` to a stop gives way to it. Lines do not move with the outline.
+
+    Examples
+    --------
+    >>> _lines_from(0.0, np.array([-22.0, 0.0, 27.0, 35.0]), 10.0).tolist()
+    [-22.0, -10.0, 0.0, 10.0, 20.0, 27.0, 35.0]
+    >>> _lines_from(0.0, np.array([0.0, 30.0]), 10.0).tolist()
+    [0.0, 10.0, 20.0, 30.0]
     """
-    low, high = np.ceil((stops[[0, -1]] - anchor) / size - 1e-9)
-    even = anchor + size * np.arange(low, high + 1)
+    low, high = (stops[[0, -1]] - anchor) / size
+    even = anchor + size * np.arange(np.ceil(low - 1e-9), np.floor(high + 1e-9) + 1)
     near = np.abs(even[:, None] - stops).min(1) < APART * size
     return np.sort(np.r_[even[~near], stops])
 
