@@ -187,12 +187,18 @@ def limits_of(run: Record) -> dict[str, tuple[str, str, str]]:
 
 def history_figure(run: Record) -> Figure:
     """Force, shear angle and, with mid-edges, draw-in over the travel."""
-    draw = [_draw_force_panel, _draw_shear_angles]
-    if run.summary.get("draw_in_mm"):
-        draw.append(_draw_draw_in)
+    panels = 3 if run.summary.get("draw_in_mm") else 2
+    shear, draw_in = [], []
+    for sheet in run.sheets:  # each is loaded once
+        shear.append((np.abs(sheet.shear_angle), sheet.flat_areas))
+        if panels == 3:
+            draw_in.append([edge.draw_in(sheet.points) for edge in _edges(run, sheet)])
     figure = new_figure(2.7)
-    for axes, panel in zip(figure.subplots(1, len(draw)), draw, strict=True):
-        panel(axes, run)
+    axes = figure.subplots(1, panels)
+    _draw_force_panel(axes[0], run)
+    _draw_shear_angles(axes[1], run, shear)
+    if panels == 3:
+        _draw_draw_in(axes[2], run, draw_in)
     figure.suptitle(_title(run), parse_math=False)
     return figure
 
@@ -675,10 +681,12 @@ def scale_force(axes: Axes, force: FloatArray, sound: FloatArray) -> bool:
     return False
 
 
-def _draw_shear_angles(axes: Axes, run: Record) -> None:
-    """Largest shear angle over travel, and that at the centre or the 99th percentile."""
+def _draw_shear_angles(axes: Axes, run: Record, found: list[tuple[FloatArray, FloatArray]]) -> None:
+    """Largest shear angle over travel, and that at the centre or the 99th percentile.
+
+    `found` has |γ| and the flat areas of the triangles of each sheet.
+    """
     travel = np.array(run.sheets.travels)
-    found = [(np.abs(sheet.shear_angle), sheet.flat_areas) for sheet in run.sheets]
     largest = np.array([gamma.max() for gamma, _ in found])
     axes.plot(travel, largest, "o-", **CURVE | {"markersize": 4}, mfc="white", label="largest")
     other, label = run.history.get("shear_angle_center_deg"), "centre"
@@ -692,10 +700,9 @@ def _draw_shear_angles(axes: Axes, run: Record) -> None:
     _finish_panel(axes, run, travel[-1], largest[-1], "shear angle |γ| in °")
 
 
-def _draw_draw_in(axes: Axes, run: Record) -> None:
-    """Draw-in over travel: mean of the mid-edges and their range."""
+def _draw_draw_in(axes: Axes, run: Record, found: list[list[float]]) -> None:
+    """Draw-in over travel: mean of the mid-edges and their range, from those of each sheet."""
     travel = np.array(run.sheets.travels)
-    found = [[edge.draw_in(sheet.points) for edge in _edges(run, sheet)] for sheet in run.sheets]
     mean, low, high = (np.array(f(found, axis=1)) for f in (np.mean, np.min, np.max))
     axes.plot(travel, mean, "o-", **CURVE, label="mean of the edges")
     if (high - low).max() > max(0.1, 0.02 * np.abs(mean).max()):
