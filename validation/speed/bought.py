@@ -18,7 +18,7 @@ import numpy as np
 from ..tables import markdown_table
 
 RUNS = {"second": ["--draft"], "minute": [], "hour": ["--size", "1.5"]}
-HEAD = ["run", "command", "processor s", "wall s", "size mm", "force N", "p99 °", "mean °"]
+HEAD = ["run", "command", "processor s", "wall s", "size mm", "force N", "p99 °"]
 PICTURE, TABLE = "bought.png", "bought.md"
 
 
@@ -60,17 +60,23 @@ def _row(folder: Path, name: str, options: list[str], scene: str) -> list[str]:
 
 
 def _numbers(run) -> tuple[list[float], list[float]]:
-    """Force (N), p99 and mean of the shear angle (degrees), and their errors."""
-    gamma = run.summary["shear_angle_deg"]
-    errors = run.summary["error_estimate"]
-    names = ("force_N", "shear_angle_deg", "mean_deg")
-    return [run.force, gamma["p99"], gamma["mean"]], [errors[name] for name in names]
+    """Force (N) and 99th percentile of the shear angle (degrees), and their errors."""
+    errors = [run.summary["error_estimate"][name] for name in ("force_N", "shear_angle_deg")]
+    return [run.force, run.summary["shear_angle_deg"]["p99"]], errors
+
+
+def _words(folder: Path, name: str) -> str:
+    """What a run is, and the time it took."""
+    what = {"second": "draft", "minute": "default"}.get(name, " ".join(RUNS[name]).strip("-"))
+    seconds = _time(folder)["processor"]
+    return f"{what}: {seconds:.0f} s" if seconds < 100 else f"{what}: {seconds / 60:.0f} min"
 
 
 def draw(out: Path) -> Path:
     """Draw the sheets seen from above, and their forces over the travel."""
     from matplotlib import rc_context
 
+    from quasiform.checks import number
     from quasiform.draw import plot
     from quasiform.result.record import Record
 
@@ -83,23 +89,22 @@ def draw(out: Path) -> Path:
         colours = plot.colour_scale(list(runs.values()), end)
         room = np.vstack([run.sheet.flat for run in runs.values()])
         for axes, (name, run) in zip(above, runs.items(), strict=True):
-            (force, p99, _), (off, off_p99, _) = _numbers(run)
-            seconds, size = _time(out / name)["processor"], run.parameters["size"]
+            (force, p99), (off, off_p99) = _numbers(run)
             axes.set_title(
-                f"a {name}: {seconds:.3g} s, {size:.3g} mm\n"
-                f"force {force:.1f} ± {off:.1g} N\np99 of |γ| {p99:.1f} ± {off_p99:.1g}°"
+                f"{_words(out / name, name)}\nforce {force:.1f} ± {number(off, 2)} N"
+                f"\np99 of |γ| {p99:.1f} ± {number(off_p99, 2)}°"
             )
             plot.draw_flat_outline(axes, run.sheet)
             plot.paint(axes, run.sheet, run.sheet.points, plot.shear_faces(run.sheet, colours))
             plot.frame(axes, room)
-        plot.draw_colour_bar(figure, colours, ax=above, shrink=0.8)
+        plot.draw_colour_bar(figure, colours, ax=above, shrink=0.55)
         axes = figure.add_subplot(grid[1, :])
         looks = zip(
             ("#009e73", "#d55e00", "#0072b2"), ("s", "o", ""), ("--", "-", "-"), strict=True
         )
         for (name, run), (colour, marker, line) in zip(runs.items(), looks, strict=True):
             look = {"color": colour, "marker": marker, "linestyle": line, "markersize": 3.5}
-            plot.draw_force(axes, run, look, f"a {name}")
+            plot.draw_force(axes, run, look, _words(out / name, name))
         axes.set_xlabel("punch travel in mm")
         axes.set_ylabel("punch force in N, with its error")
         axes.set_xlim(left=0.0)
