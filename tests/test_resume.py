@@ -286,6 +286,24 @@ def test_records_take_a_tenth_of_the_time_of_a_run(tmp_path, monkeypatch):
     assert (gaps >= 11.0).all()  # a second of a record, ten of the run
 
 
+def test_perturbed_starts_that_were_interrupted_are_solved_by_resume(tmp_path, monkeypatch):
+    from quasiform.solve import asked
+
+    def interrupted(*given, **more):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(asked, "spread", interrupted)
+    case = ["form", "hemisphere", "--size", "20", "--travel", "5", "--seeds", "1", "--no-estimate"]
+    assert main([*case, "--out", str(tmp_path / "a")]) == 3
+    assert "perturbed starts" in readable(tmp_path / "a")["reason"]
+    monkeypatch.undo()
+    assert main(["resume", str(tmp_path / "a")]) == 0
+    summary = readable(tmp_path / "a")
+    assert summary["status"] == "completed"
+    assert set(summary["spread"]) >= {"force_N", "shear_angle_deg"}
+    assert not (tmp_path / "a/resume.npz").exists()
+
+
 def test_a_path_that_took_long_is_drawn_before_its_error_is_estimated(tmp_path, monkeypatch):
     drawn = []
     monkeypatch.setattr(qf.Result, "draw", lambda self, folder: drawn.append(self.estimate))

@@ -146,7 +146,9 @@ def doubt_figure(run: Record) -> Figure:
     title = "limits of the shear angle, share of the area"
     look = {"frameon": False, "alignment": "left", "borderaxespad": 0}
     key.legend(handles=[*handles[::-1], trusted], loc="upper left", title=title, **look)
-    found = {"what to do": advice[::-1], "limits of the whole result": run.limits[:LIMITS_SHOWN]}
+    limits, more = run.limits[:LIMITS_SHOWN], len(run.limits) - LIMITS_SHOWN
+    limits += [f"and {more} more in summary.json"] * (more > 0)
+    found = {"what to do": advice[::-1], "limits of the whole result": limits}
     lines = []
     for heading, entries in found.items():
         lines += [f"{heading}:", *(textwrap.fill(f"– {e}", 58) for e in entries or ["none"]), ""]
@@ -659,7 +661,7 @@ def _draw_force_panel(axes: Axes, run: Record) -> None:
         u, _, f = known
         axes.plot(u, f, **THEORY, label="power balance,\ninextensible fibres")
     _, name, unit = words_of(run)
-    if run.summary["reason"]:
+    if run.summary["reason"] and travel[-1] < run.goal * (1 - 1e-9):
         label = f"stopped at {travel[-1]:.4g}{' mm' if unit == 'N' else ''}"
         axes.plot([], [], "X", color=STOP, markersize=6, label=label)
     _finish_panel(axes, run, travel[-1], force[-1], f"{name} in {unit}")
@@ -688,7 +690,7 @@ def _draw_shear_angles(axes: Axes, run: Record, found: list[tuple[FloatArray, Fl
     """
     travel = np.array(run.sheets.travels)
     largest = np.array([gamma.max() for gamma, _ in found])
-    axes.plot(travel, largest, "o-", **CURVE | {"markersize": 4}, mfc="white", label="largest")
+    axes.plot(travel, largest, "^-", **CURVE | {"markersize": 4}, label="largest")
     other, label = run.history.get("shear_angle_center_deg"), "centre"
     if other is None or len(other) != len(travel):
         other, label = [percentile(g, area, 0.99) for g, area in found], "99th percentile"
@@ -713,7 +715,7 @@ def _draw_draw_in(axes: Axes, run: Record, found: list[list[float]]) -> None:
 
 def _finish_panel(axes: Axes, run: Record, travel: float, value: float, label: str) -> None:
     """Label a panel over the travel and mark where a stopped run ended."""
-    if run.summary["reason"]:
+    if run.summary["reason"] and travel < run.goal * (1 - 1e-9):
         axes.plot(travel, value, "X", color=STOP, markersize=6, zorder=3)
     name, _, unit = words_of(run)
     axes.set_xlim(0.0, 1.02 * run.goal)

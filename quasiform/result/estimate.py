@@ -89,7 +89,8 @@ def _force_errors(result: Outcome, levels: Sequence[Outcome]) -> FloatArray | No
         forces.append(curve(np.clip(travel, at[0], at[-1])))
     error = discretisation_error(forces, [run.model.size for run in along])
     beside = np.pad(error, 1, mode="edge")
-    return np.maximum.reduce([beside[:-2], error, beside[2:]])  # two curves may cross in a row
+    wide = np.maximum.reduce([beside[:-2], error, beside[2:]])  # two curves may cross in a row
+    return np.where(np.asarray(travel) > 0, wide, error)  # at rest nothing has happened yet
 
 
 def _comparable(fine: Outcome, coarse: Outcome) -> bool:

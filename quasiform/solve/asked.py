@@ -43,6 +43,8 @@ def solved(
 ) -> Result:
     """Solve a model on one mesh or several, then perturbed starts where they are asked for."""
     how = {name: options[name] for name in ("increment", "linear", "estimate")} | {"out": out}
+    if out:
+        out.more = bool(options["seeds"])
     if options["one_mesh"]:
         result = solve(model, callback, **how)
     else:
@@ -53,5 +55,6 @@ def solved(
         except KeyboardInterrupt:
             result = replace(result, reason="interrupted while perturbed starts were solved")
         if out:
+            out.more = False
             out.close(result)
     return result

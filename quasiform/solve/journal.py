@@ -72,6 +72,7 @@ class Journal:
         self.goal = ""  # what follows the travel, as a text
         self._rows = 0
         self._due = 0.0  # when the next record is made, s
+        self.more = False  # whether a completed result is not the last one: perturbed starts follow
         if resume:
             self._read()
         else:
@@ -234,10 +235,10 @@ class Journal:
     def close(self, result: Result) -> None:
         """Write the result; where that cannot be done, this becomes its `reason`."""
         self.keep(result, drawn=True)
-        if not result.reason:
+        if not result.reason and not self.more:
             with suppress(OSError):
                 (self.folder / RESUME).unlink(missing_ok=True)
-        if self._own:
+        if self._own and not self.more:
             self._own.release()
 
 
