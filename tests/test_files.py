@@ -593,6 +593,14 @@ def test_a_punch_that_never_meets_the_sheet_is_refused(tmp_path):
     assert scene(tmp_path, punch, SHEET + hole.replace("45", "25"))
 
 
+def test_a_punch_that_never_meets_the_sheet_may_be_in_inches(tmp_path):
+    sides = [(-30.0, -10.0), (10.0, 30.0)]  # inches: 508 mm apart, on both sides of the sheet
+    written(tmp_path / "pan.vtu", *(box([a, -20, 0], [b, 20, 25]) for a, b in sides))
+    words = r"never meets .*; the tool is 1524 mm across: is its file in another unit \(scale\)\?"
+    with pytest.raises(InputError, match=words):
+        scene(tmp_path, 'file = "pan.vtu"\nscale = 25.4')
+
+
 def test_a_sheet_that_nothing_holds_is_refused(tmp_path):
     punch = 'shape = "round punch"\nradius = 30.0'
     with pytest.raises(InputError, match="nothing holds the sheet under the punch: there is no"):

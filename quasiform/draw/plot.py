@@ -81,6 +81,7 @@ DOUBTS = {  # colour, meaning and advice; later ones lie over earlier ones
     ),
 }
 LIMITS_SHOWN = 4
+RINGS = ("black", "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00")  # Okabe and Ito
 GAPS = {"E22_warp_layer": "E22 of the warp layer", "E11_weft_layer": "E11 of the weft layer"}
 LIGHT = np.array([-0.45, 0.55, 0.70])  # direction to the light: right, up, towards the viewer
 
@@ -116,6 +117,9 @@ def sheet_figure(run: Record) -> Figure:
         rings = _draw_from_above(panels["above"], run, colours)
         key = panels["key"]
         key.axis("off")
+        if run.locking and np.abs(run.sheet.shear_angle).max() > run.locking:
+            look = {"color": LOCKED, "linewidth": 1.1}
+            rings.append(Line2D([], [], label=f"locking, {run.locking:.0f}°", **look))
         if rings:
             title = "tools, and mean |γ| in the ringed areas"
             key.legend(handles=rings, loc="upper center", ncols=3, title=title, **RING_LEGEND)
@@ -558,7 +562,7 @@ def _draw_areas(axes: Axes, run: Record) -> list[Line2D]:
     for name, mean in (run.summary.get("areas") or {}).items():
         centre, radius = run.areas[name]
         ring = formed_places(run.sheet, centre + radius * circle)
-        colour = name if is_color_like(name) else "black"
+        colour = name if is_color_like(name) else RINGS[len(rings) % len(RINGS)]
         label = plain(f"{name} –" if mean is None else f"{name} {mean:.1f}°")
         rings += axes.plot(*ring.T, color=colour, linewidth=1.2, path_effects=rims, label=label)
     return rings

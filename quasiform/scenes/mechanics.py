@@ -20,6 +20,7 @@ from .scene_file import SceneFile
 FloatArray = np.ndarray
 HEIGHTS = 9  # along the travel at which the sheet is looked for
 SAMPLES = 150  # points a side on which it is looked for
+LARGE = 4.0  # times the blank: a tool as large may be in another unit
 TOUCH = 1e-3  # of the thickness
 
 
@@ -45,6 +46,9 @@ def check_mechanics(
     gap, name, tool = min(gaps["driven"], key=lambda found: found[0])
     if gap > TOUCH * thickness:
         at = position(middle(tool, from_files))
+        across = np.ptp(box_of(tool, from_files), axis=0).max() if name in from_files else 0.0
+        if across > LARGE * max(x1 - x0, y1 - y0):
+            sheet += f"; the tool is {across:.4g} mm across: is its file in another unit (scale)?"
         words = f"within {travel:g} mm of travel it comes no nearer than {gap:.3g} mm"
         raise InputError(
             f"the {name} never meets the sheet: {words}; its middle is at {at}, {sheet}"

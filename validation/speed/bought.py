@@ -17,7 +17,7 @@ import numpy as np
 
 from ..tables import markdown_table
 
-RUNS = {"second": ["--draft"], "minute": [], "hour": ["--size", "1.5"]}
+RUNS = {"second": ["--draft"], "minute": [], "hour": ["--size", "1"]}
 HEAD = ["run", "command", "processor s", "wall s", "size mm", "force N", "p99 °"]
 PICTURE, TABLE = "bought.png", "bought.md"
 
