@@ -502,13 +502,18 @@ def study(
     planned = plan(file)
     folder = out or Path(planned.study.name)
     rows = store.read_rows(folder)
-    words = forecast.study(planned, store.pending(planned, rows, resume, share), rows)
+    jobs = store.part(planned.jobs, share)
+    words = forecast.study(planned, store.pending(planned, jobs, rows, resume), rows)
     if dry_run:
         terminal.say(words)
         return
     terminal.say(f"writing to {folder}", words)
-    table = qf.study(planned, workers or 1, scheduler, share, resume, folder, callback=StudyBar())
-    terminal.say(terminal.study(table), terminal.files(folder, store.FILES))
+    how = {"callback": StudyBar(), "pictures": True}
+    table = qf.study(planned, workers or 1, scheduler, share, resume, folder, **how)
+    answer = folder / store.ANSWER
+    lines = answer.read_text(encoding="utf-8").splitlines() if answer.exists() and not share else []
+    terminal.say(terminal.study(table), *(f"  {line}" for line in lines))
+    terminal.say(terminal.files(folder, store.FILES))
 
 
 @app.command

@@ -28,8 +28,8 @@ from ..schema import validated
 from ..toml_file import dotted_values
 from . import fields
 from . import file as study_file
-from .design import rows
-from .run import PLACE, environment, model_of, unpack
+from .design import rows, saltelli
+from .run import PLACE, START, environment, model_of, unpack
 
 Case = Callable[..., Recipe | Model]
 TRIED = 20  # runs, of which one at least must have a model
@@ -59,12 +59,20 @@ class Plan:
         That the runs read, by the names that their descriptions use.
     paths : dict of name to path
         Where those files came from.
+    described : callable
+        The run that has some values.
     """
 
     study: study_file.Study
     jobs: list[Job]
     files: dict[str, bytes]
     paths: dict[str, str]
+    described: Callable[[dict[str, Any]], Job]
+
+    @property
+    def keys(self) -> list[str]:
+        """Columns of the varied values."""
+        return list(self.jobs[0].values)
 
     @cached_property
     def first(self) -> tuple[Model, dict[str, Any]]:
@@ -91,28 +99,42 @@ def plan(source: str | Path | Mapping[str, Any], case: Case | None = None) -> Pl
     if study.fields:
         fields.needed()
     with naming(source if isinstance(source, str | Path) else study.name):
-        values = rows(study.design, study.vary, study.runs, study.seed)
+        values = _values(study)
         luggage = _Luggage()
         kind = _function if case else _scene if study.kind == "form" else _strip
         describe = partial(kind, case or study, folder, luggage)
-        here = {"environment": environment()}
-        jobs = [_job(entry, study.fixed, describe, here) for entry in values]
+        described = partial(_job, study.fixed, describe, {"environment": environment()})
+        jobs = [described(entry) for entry in values]
         if all(job.error for job in jobs):
             raise InputError(jobs[0].error)
-        found = Plan(study, jobs, luggage.files, luggage.paths)
-        _check_outputs(study.outputs, found.first[0])
+        found = Plan(study, jobs, luggage.files, luggage.paths, described)
+        _check_outputs(study.columns, found.first[0])
     return found
 
 
+def _values(study: study_file.Study) -> list[dict[str, Any]]:
+    """Values of the keys by run; of an optimisation or a trim line, of the runs that come first."""
+    if study.sobol:
+        return saltelli(study.values, study.sobol.points, study.seed)
+    if study.optimise:
+        return rows("sobol", study.values, study.optimise.start, study.seed)
+    found = rows(study.design, study.values, study.runs, study.seed)
+    starts = (study.robust and study.robust.starts) or 0
+    return [{**entry, START: k} for entry in found for k in range(starts)] if starts else found
+
+
 def _job(
-    values: dict[str, Any],
     fixed: Mapping[str, Any],
     describe: Callable[[dict[str, Any]], dict[str, Any]],
     here: dict[str, Any],
+    values: dict[str, Any],
 ) -> Job:
     """Describe a run, or say why it is impossible."""
+    own = {**fixed, **values}
+    start = own.pop(START, 0)
+    here = here | ({START: start} if start else {})
     try:
-        description, error = describe({**fixed, **values}) | here, ""
+        description, error = describe(own) | here, ""
     except InputError as wrong:
         description, error = {"values": {**fixed, **values}}, str(wrong)
     text = json.dumps(description, sort_keys=True, default=str)
