@@ -94,12 +94,12 @@ def describe(model: Model) -> str:
     )
 
 
-def report(result: Result, seconds: float) -> str:
-    """Key numbers of a run, with their errors and what they are worth."""
+def report(result: Result, seconds: float, more: Sequence[tuple[str, str]] = ()) -> str:
+    """Key numbers of a run, with their errors and what they are worth; `more` follows them."""
     summary, travel = result.summary(), result.model.travel
     name = result.model.force_name
     numbers = _numbers(summary, "work of load" if name == "load_work_mJ" else "force", name)
-    rows = numbers | _errors(result, summary) | _worth(summary)
+    rows = numbers | _errors(result, summary) | _worth(summary) | dict(more)
     rows["wall time"] = f"{summary['wall_s']:.1f} s"
     rows["total time"] = f"{seconds:.1f} s, with error estimate and files"
     reason = f": {summary['reason']}" if summary["reason"] else ""

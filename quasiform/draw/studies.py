@@ -23,8 +23,16 @@ if TYPE_CHECKING:
 
 LEAST = 8  # runs from which on a picture of the table says something
 SHOWN = 4, 6  # outputs and keys of a scatter at most
-STATES = ("#e6e2ee", "#8c6bb1", "#d1605e", "#fdae61", "#9e9e9e", "#404040", "#2c7fb8", "#41b6c4")
+STATES = {  # colours; those of limits follow
+    "good": "#e6e2ee",
+    "locked": "#8c6bb1",
+    "wrinkled": "#d1605e",
+    "not converged": "#fdae61",
+    "not completed": "#9e9e9e",
+}
+LIMITS = ("#2c7fb8", "#41b6c4", "#225ea8")
 SPAN = 0.1, 0.9  # quantiles of a key between which a tornado shows its effect
+DPI = plot.DPI
 BARS = {"elinewidth": 0.7, "capsize": 1.5}
 ROW = 0.28  # inches: a bar of a tornado
 
@@ -197,20 +205,24 @@ def effects_figure(
 
 @styled
 def tornado_figure(
-    changes: Mapping[str, Mapping[str, float]], names: Mapping[str, str], title: str
+    changes: Mapping[str, Mapping[str, float]], names: Mapping[str, str], title: str, both: bool
 ) -> Figure:
-    """Change of each output (outer key) by each parameter (inner key); `names` label those."""
+    """Change of each output (outer key) by each parameter (inner key); `names` label those.
+
+    `both` says that the changes are to both sides.
+    """
     panels = [
         (output, {key: (change, None) for key, change in by.items()}, "")
         for output, by in list(changes.items())[: SHOWN[0]]
     ]
-    return _tornado(panels, names, title)
+    return _tornado(panels, names, title, both)
 
 
 def _tornado(
     panels: list[tuple[str, dict[str, tuple[float, float | None]], str]],
     names: Mapping[str, str],
     title: str,
+    both: bool = False,
 ) -> Figure:
     """Bars of changes with their errors, the largest on top, a panel for each output."""
     most = max(len(bars) for _, bars, _ in panels)
@@ -226,6 +238,9 @@ def _tornado(
         errors = [bars[key][1] for key in order]
         colours = [FIRST if value > 0 else SECOND for value in width]
         look = {"error_kw": BARS, "height": 0.6, "color": colours}
+        if both:
+            look |= {"left": np.negative(width), "color": FIRST}
+            width = [2.0 * value for value in width]
         axes.barh(range(len(order)), width, xerr=None if None in errors else errors, **look)
         axes.axvline(0.0, color="0.3", linewidth=0.6)
         axes.set_yticks(range(len(order)), [names[key] for key in order])
@@ -281,9 +296,10 @@ def window_figure(
     order: Sequence[str],
     shares: Table,
 ) -> Figure:
-    """Process window over two keys: the state of each run, and around it that of the nearest.
+    """Process window over two keys: the worst state of each run, and around it that of the nearest.
 
-    Where several runs are at one place, the share of good ones stands there.
+    Where several runs are at one place it is the most frequent, and the share of good ones is
+    written there.
     """
     from scipy.spatial import cKDTree
 
@@ -303,13 +319,15 @@ def window_figure(
     x, y = np.meshgrid(*grid)
     tree = cKDTree((at - low) / span)
     near = tree.query((np.stack([x, y], axis=-1) - low) / span)[1]
-    colours = np.array([STATES[k % len(STATES)] for k in range(len(order))])
-    faces = to_rgba_array(colours)[counts.argmax(1)[near]]
+    others = iter(LIMITS * len(order))
+    colours = np.array([STATES.get(name) or next(others) for name in order])
+    most = counts.shape[1] - 1 - counts[:, ::-1].argmax(1)  # the worse one where two are equal
+    faces = to_rgba_array(colours)[most[near]]
     figure = new_figure(3.6)
     axes = figure.subplots()
     extent = (x[0, 0], x[0, -1], y[0, 0], y[-1, 0])
     axes.imshow(faces, extent=extent, origin="lower", aspect="auto", alpha=0.75)
-    axes.scatter(*at.T, s=9, c=colours[counts.argmax(1)], edgecolors="black", linewidths=0.5)
+    axes.scatter(*at.T, s=9, c=colours[most], edgecolors="black", linewidths=0.5)
     many = counts.sum(1)
     if many.max() > 1 and len(at) <= 100:
         for place, count, of in zip(at, counts[:, 0], many, strict=True):
@@ -317,20 +335,12 @@ def window_figure(
             axes.annotate(f"{count}/{of}", place, **look)
     axes.set_xlabel(plot.plain(keys[0]))
     axes.set_ylabel(plot.plain(keys[1]))
-    interval = {
-        name: f", {100 * a:.2g} to {100 * b:.2g} %"
-        for name, a, b in zip(shares["state"], shares["low"], shares["high"], strict=True)
-    }
-    handles = [
-        Patch(
-            facecolor=colours[k],
-            alpha=0.75,
-            edgecolor="0.3",
-            linewidth=0.5,
-            label=f"{name}: {states.count(name)} runs{interval.get(name, '')}",
-        )
-        for name, k in number_of.items()
-    ]
+    rows = {row[0]: row[1:] for row in zip(*shares.values(), strict=True)}
+    handles = []
+    for name, colour in zip(order, colours, strict=True):
+        n, of, a, b = rows[name]
+        words = f"{name}: {n} of {of} ({100 * a:.2g} to {100 * b:.2g} %)"
+        handles.append(Patch(facecolor=colour, alpha=0.75, ec="0.3", linewidth=0.5, label=words))
     figure.legend(handles=handles, loc="outside right upper")
     figure.suptitle(f"process window, {len(states)} runs", x=0.01, ha="left")
     return figure

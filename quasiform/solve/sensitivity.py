@@ -29,9 +29,8 @@ from ..result.certificate import certify, one_of_many
 from ..result.outcome import Outcome
 from ..unknowns import FloatArray, IntArray
 from .linear import linear_solver, mirrored
-from .parameters import Parameter, named, parameters, with_value
+from .parameters import STEP, Parameter, named, parameters, with_value
 
-STEP = 3e-5  # h relative to the value of a parameter
 LEFT = 1e-4  # of the first step of a neighbour: after a shorter one nothing is evaluated anew
 MOST = 4  # steps of a neighbour in an increment
 ROUND_OFF = 1e-12  # mm, of unknowns

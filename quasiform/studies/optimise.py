@@ -146,7 +146,7 @@ def _found(search: _Search) -> Answer:
     if not row["summary"]["certificate"]["converged"]:
         lines.append("this run is not converged")
     words = " and ".join(names)
-    words = f"deviation of {words} from the target" if asked.target else words
+    words = "relative deviation from the target" if asked.target else words
     values = [-a if asked.most else a for a in aims(search)]
     kept = [max(search.judged(search.rows[j.id])[1], default=0.0) <= FEASIBLE for j in plan.jobs]
     index = [j.id for j in plan.jobs].index(job.id)

@@ -16,7 +16,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from ..checks import InputError, check_keys, check_number, naming, suggestion
+from ..checks import InputError, check_keys, check_number, naming, optional, suggestion
 from ..fabric import Fabric, fabric_of
 from ..model import Model
 from ..recipe import Recipe
@@ -29,6 +29,7 @@ from ..toml_file import dotted_values
 from . import fields
 from . import file as study_file
 from .design import rows, saltelli
+from .questions import Trim, target
 from .run import PLACE, START, environment, model_of, unpack
 
 Case = Callable[..., Recipe | Model]
@@ -109,6 +110,8 @@ def plan(source: str | Path | Mapping[str, Any], case: Case | None = None) -> Pl
             raise InputError(jobs[0].error)
         found = Plan(study, jobs, luggage.files, luggage.paths, described)
         _check_outputs(study.columns, found.first[0])
+        if study.trim:
+            _check_trim(study.trim, found.first[0])
     return found
 
 
@@ -244,6 +247,16 @@ def _function(
         given["file"] = replace(file, source="")  # where it was is no part of a run
     recipe = replace(recipe, given=tuple(given.items()))
     return {"recipe": luggage.packed(recipe.written(), [Path(name) for name in recipe.files()])}
+
+
+def _check_trim(trim: Trim, model: Model) -> None:
+    """Refuse a line that cannot be used, and a blank whose outline cannot change."""
+    from ..comparison.mapping import IGL
+
+    optional(*IGL)
+    target(trim)
+    if dict(model.recipe.given)["file"].blank is None:
+        raise InputError("[trim] needs a blank with an outline, not one with its own mesh")
 
 
 def _check_outputs(outputs: Sequence[str], model: Model) -> None:

@@ -2,9 +2,11 @@
 
 from typing import Annotated, Any, Self
 
+import numpy as np
+import shapely
 from pydantic import Field, StrictStr, model_validator
 
-from ..checks import InputError
+from ..checks import InputError, naming
 from ..schema import OPEN, Table, number, path
 
 Name = StrictStr
@@ -95,3 +97,23 @@ def _with_confidence(table: Any) -> Any:
         words = f"confidence must be at least 0.5 and less than 1, got {table.confidence:g}"
         raise InputError(words)
     return table
+
+
+def target(trim: Trim) -> list[np.ndarray]:
+    """Lines (k, 3), or (k, 2) seen along z, mm: the outer one first, then holes.
+
+    InputError for a line that cannot be read, or crosses itself, and for a hole beside the line.
+    """
+    from ..handover.pattern import curves
+
+    with naming(trim.line):
+        lines = curves(trim.line, trim.scale)
+        lines.sort(key=lambda line: -shapely.Polygon(line[:, :2]).area)
+        outer = shapely.Polygon(lines[0][:, :2])
+        for k, line in enumerate(lines, 1):
+            polygon = shapely.Polygon(line[:, :2])
+            if not polygon.is_valid:
+                raise InputError(f"line {k} crosses itself, seen along z")
+            if k > 1 and not outer.contains_properly(polygon):
+                raise InputError(f"line {k} is not a hole within the longest one, seen along z")
+    return lines

@@ -1,8 +1,8 @@
 """How probable wrinkles, locking and limited trust are; which branches a sheet ends in.
 
 Shares of runs with Wilson's intervals (`scipy.stats.binomtest`), which take the runs as
-independent. Runs from perturbed starts at the same values are grouped into branches: end states
-are of one branch if their nodes are less than a distance apart (root mean square).
+independent. Runs from perturbed starts at the same values are grouped into branches, by average
+linkage of their end states: their distance is the root mean square of that of their nodes.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import partial
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,7 @@ LIMITED = {
     "trust limited": lambda row: bool(row["summary"]["trust"]),
 }
 GOOD = "good"
+NEAR = 1e-6  # mm: a node is the mirror image of another
 
 
 def answer(plan: Plan, solve: Solve, fields: Callable[[str], Any]) -> Answer:
@@ -39,7 +41,9 @@ def answer(plan: Plan, solve: Solve, fields: Callable[[str], Any]) -> Answer:
         f"{output} > {limit:g}": partial(_exceeds, output=output, limit=limit)
         for output, limit in robust.limits.items()
     }
-    lines, shares = shortfall(rows), _shares(rows, states | LIMITED, robust.confidence)
+    good = {GOOD: lambda row: not any(so(row) for so in states.values())}
+    lines = shortfall(rows)
+    shares = _shares(rows, good | states | LIMITED, robust.confidence)
     for name, n, of, low, high in zip(*shares.values(), strict=True):
         lines.append(f"{name}: {n} of {of} runs, {100 * low:.3g} to {100 * high:.3g} %")
     shown = [next((name for name, so in states.items() if so(row)), GOOD) for row in rows]
@@ -68,7 +72,8 @@ def _shares(
 
     table: dict[str, list[Any]] = {name: [] for name in ("state", "runs", "of", "low", "high")}
     for name, so in states.items():
-        known = rows if name == "not completed" else [row for row in rows if completed(row)]
+        whole = name in (GOOD, "not completed")
+        known = rows if whole else [row for row in rows if completed(row)]
         n = sum(map(so, known))
         low, high = 0.0, 1.0
         if known:
@@ -83,42 +88,56 @@ def branches(
     plan: Plan, rows: Sequence[Row], fields: Callable[[str], Any]
 ) -> tuple[dict[str, list[Any]], list[str]]:
     """Group the end states at each place: their share, energy, and one run of each."""
-    from scipy.cluster.hierarchy import fcluster, linkage
-
     study, starts = plan.study, plan.study.robust.starts
     keys = [key for key in plan.keys if key != START]
-    table: dict[str, list[Any]] = {
-        name: []
-        for name in (*keys, "branch", "runs", "of", "energy_mJ", *study.columns, "start", "run")
-    }
-    lines = []
+    names = *keys, "branch", "runs", "of", "energy_mJ", *study.columns, START, "run"
+    table: dict[str, list[Any]] = {name: [] for name in names}
+    lines, pairs = [], list(zip(plan.jobs, rows, strict=True))
     for first in range(0, len(rows), starts):
-        ended = [
-            (job, row)
-            for job, row in list(zip(plan.jobs, rows, strict=True))[first : first + starts]
-            if completed(row)
-        ]
+        ended = [pair for pair in pairs[first : first + starts] if completed(pair[1])]
         if not ended:
             continue
-        x = np.array([fields(job.id)["points"] for job, _ in ended])
-        flat = x.reshape(len(x), -1) / np.sqrt(x.shape[1])  # a distance is a root mean square
-        label = np.ones(1, dtype=int)
-        if len(ended) > 1:
-            label = fcluster(linkage(flat, "average"), study.robust.apart, "distance")
-        found = []
-        for branch, _ in Counter(label.tolist()).most_common():
-            members = [ended[i] for i in np.flatnonzero(label == branch)]
+        values = [ended[0][0].values[key] for key in keys]
+        at = ", ".join(f"{key} {value}" for key, value in zip(keys, values, strict=True))
+        label, apart = _grouped([fields(job.id) for job, _ in ended], study.robust.apart)
+        least = min(row["energy_mJ"] for _, row in ended)
+        for k, (group, count) in enumerate(Counter(label).most_common(), 1):
+            members = [pair for pair, own in zip(ended, label, strict=True) if own == group]
             job, row = min(members, key=lambda pair: pair[1]["energy_mJ"])
-            energies = [row["energy_mJ"] for _, row in members]
-            found.append((min(energies), max(energies), len(members), job, row))
-        for k, (low, high, count, job, row) in enumerate(found, 1):
-            values = [job.values[key] for key in keys], numbers(row, study.columns) or []
-            entry = *values[0], k, count, len(ended), low, *values[1], job.values[START], job.id
+            energy = [f(row["energy_mJ"] for _, row in members) for f in (min, max)]
+            outputs = numbers(row, study.columns) or [None] * len(study.columns)
+            entry = *values, k, count, len(ended), energy[0], *outputs, job.values[START], job.id
             for column, value in zip(table.values(), entry, strict=True):
                 column.append(value)
-            at = ", ".join(f"{key} {value}" for key, value in zip(keys, values[0], strict=True))
-            energy = " to ".join(dict.fromkeys((number(low), number(high))))
             words = f"branch {k}{f' at {at}' * bool(at)}: {count} of {len(ended)} runs"
-            least = " (the least)" if low == min(other[0] for other in found) else ""
-            lines.append(f"{words}, stored energy {energy} mJ{least}, as run {job.id}")
+            words += f", stored energy {' to '.join(dict.fromkeys(map(number, energy)))} mJ"
+            words += " (the least)" * (energy[0] == least)
+            lines.append(f"{words}, as run {job.id}")
+        if len(apart):
+            low, high = (number(end, 2) for end in (apart.min(), apart.max()))
+            lines.append(f"states of different branches are {low} to {high} mm apart")
     return table, lines
+
+
+def _grouped(states: Sequence[dict[str, Any]], apart: float) -> tuple[list[int], np.ndarray]:
+    """Number of the branch of each end state, and the distances (mm) of states of different ones.
+
+    Mirror images at x = 0 and y = 0 count as the same state where the flat mesh is one of itself.
+    """
+    from scipy.cluster.hierarchy import fcluster, linkage
+    from scipy.spatial import cKDTree
+    from scipy.spatial.distance import cdist, squareform
+
+    if len(states) < 2:
+        return [1] * len(states), np.empty(0)
+    flat, x = states[0]["flat"], np.array([state["points"] for state in states])
+    found = []
+    for flip in product((1.0, -1.0), repeat=2):
+        off, index = cKDTree(flat).query(flat * flip)
+        if off.max() < NEAR:
+            images = x[:, index] * [*flip, 1.0]
+            found.append(cdist(*(p.reshape(len(x), -1) for p in (x, images))))
+    distance = np.min(found, axis=0) / np.sqrt(len(flat))
+    distance = 0.5 * (distance + distance.T)
+    label = fcluster(linkage(squareform(distance, checks=False), "average"), apart, "distance")
+    return label.tolist(), distance[label[:, None] != label]

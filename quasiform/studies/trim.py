@@ -21,12 +21,12 @@ import shapely
 
 from ..checks import InputError, naming, number
 from ..comparison.mapping import closest, on_surface, spacing
-from ..handover.pattern import curves
 from ..result.sheet import FormedSheet
 from ..scenes import scene_file
 from ..scenes.scene_parts import Region, SceneFile
 from .answer import Answer, Row, Solve, completed, shortfall
 from .plan import Job, Plan
+from .questions import target
 
 ROUND = "round"
 BLANK = "blank.csv"
@@ -38,7 +38,8 @@ FloatArray = np.ndarray
 
 def answer(plan: Plan, solve: Solve, fields: Callable[[str], dict[str, FloatArray]]) -> Answer:
     """Repeat until edge and line are near enough, and say how near they are in each round."""
-    trim, lines, file = plan.study.trim, target(plan), _file(plan)
+    trim, file = plan.study.trim, dict(plan.first[0].recipe.given)["file"]
+    lines = target(trim)
     plan.jobs[:] = [replace(plan.jobs[0], values={ROUND: 1})]
     table: dict[str, list[Any]] = {n: [] for n in (ROUND, "run", "largest_mm", "mean_mm")}
     sheets: list[FormedSheet] = []
@@ -60,30 +61,6 @@ def answer(plan: Plan, solve: Solve, fields: Callable[[str], dict[str, FloatArra
     if not sheets:
         return Answer([*shortfall(rows), "no blank: the first one was not formed"])
     return _found(trim.within, table, sheets, lines, shortfall(rows))
-
-
-def target(plan: Plan) -> list[FloatArray]:
-    """Lines (k, 3), or (k, 2) seen along z, mm: the outer one first, then holes."""
-    trim = plan.study.trim
-    with naming(trim.line):
-        lines = curves(trim.line, trim.scale)
-        lines.sort(key=lambda line: -shapely.Polygon(line[:, :2]).area)
-        outer = shapely.Polygon(lines[0][:, :2])
-        for k, line in enumerate(lines, 1):
-            polygon = shapely.Polygon(line[:, :2])
-            if not polygon.is_valid:
-                raise InputError(f"line {k} crosses itself, seen along z")
-            if k > 1 and not outer.contains_properly(polygon):
-                raise InputError(f"line {k} is not a hole within the longest one, seen along z")
-    return lines
-
-
-def _file(plan: Plan) -> SceneFile:
-    """The scene; InputError for a blank with a mesh of its own, whose outline cannot change."""
-    file = dict(plan.first[0].recipe.given)["file"]
-    if file.blank is None:
-        raise InputError("[trim] needs a blank with an outline, not one with its own mesh")
-    return file
 
 
 def _sheet(arrays: dict[str, FloatArray]) -> FormedSheet:
