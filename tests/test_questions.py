@@ -2,6 +2,9 @@
 
 import csv
 import json
+import re
+import tomllib
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -360,3 +363,12 @@ def test_parameters_of_a_model_on_another_mesh():
     model = qf.off_axis_tension(size=20.0)
     coarse = model.recipe.build(40.0, like=model)
     assert with_value(coarse, "fabric.thickness", 1.1).x0.shape == coarse.x0.shape
+
+
+def test_the_questions_of_the_documentation_are_some(tmp_path, monkeypatch):
+    page = Path(__file__).parents[1] / "docs" / "how-to" / "questions.md"
+    studies = re.findall("```toml\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+    monkeypatch.chdir(tmp_path)
+    Path("net.csv").write_text("x,y\n120,0\n0,120\n-120,0\n0,-120\n", encoding="utf-8")
+    counts = [len(plan(tomllib.loads(text.replace("64", "8"))).jobs) for text in studies]
+    assert counts == [32, 36, 20, 8, 1]

@@ -121,8 +121,15 @@ def scatter_figure(
     if len(found[0]) > 1:
         figure.legend(*found, loc="outside upper right", ncols=3)
     bars = any(_error_of(table, output) for output in outputs)
-    figure.suptitle(f"{len(rows)} runs{'; bars: mesh error' * bars}", x=0.01, ha="left")
+    words = f"{_of(rows, table)}{'; bars: mesh error' * bars}"
+    figure.suptitle(words, x=0.01, ha="left")
     return figure
+
+
+def _of(rows: Sequence[int], table: Table) -> str:
+    """How many runs are shown, of how many."""
+    count = len(table["status"])
+    return f"{len(rows)} runs" if len(rows) == count else f"{len(rows)} of {count} runs, completed"
 
 
 def _error_of(table: Table, output: str) -> str:
@@ -168,7 +175,8 @@ def force_figure(histories: Sequence[Sequence[Sequence[float]]]) -> Figure:
     axes.plot(travel, forces.min(0), **THEORY, label="least and largest")
     axes.plot(travel, forces.max(0), **THEORY)
     axes.set(xlim=(0, end), ylim=(min(0.0, forces.min()), None))
-    axes.set_xlabel("travel in mm")
+    longest = max(travel[-1] for travel, _ in histories)
+    axes.set_xlabel("travel in mm" + ", of the shortest run" * (longest > end * (1 + 1e-9)))
     axes.set_ylabel("force in N")
     axes.legend(loc="upper left")
     axes.set_title(f"{len(histories)} runs", loc="right")
@@ -200,7 +208,7 @@ def effects_figure(
         key: f"{plot.plain(key)}\n{number(a, 3)} to {number(b, 3)}"
         for key, a, b in zip(keys, low, low + span, strict=True)
     }
-    return _tornado(panels, names, f"change of an output as one key changes, {len(rows)} runs")
+    return _tornado(panels, names, f"change of an output as one key changes, {_of(rows, table)}")
 
 
 @styled
@@ -294,12 +302,13 @@ def window_figure(
     places: Sequence[Sequence[float]],
     states: Sequence[str],
     order: Sequence[str],
+    limited: Sequence[bool],
     shares: Table,
 ) -> Figure:
     """Process window over two keys: the worst state of each run, and around it that of the nearest.
 
     Where several runs are at one place it is the most frequent, and the share of good ones is
-    written there.
+    written there. A cross marks a place with a run whose trust is limited.
     """
     from scipy.spatial import cKDTree
 
@@ -327,7 +336,10 @@ def window_figure(
     axes = figure.subplots()
     extent = (x[0, 0], x[0, -1], y[0, 0], y[-1, 0])
     axes.imshow(faces, extent=extent, origin="lower", aspect="auto", alpha=0.75)
-    axes.scatter(*at.T, s=9, c=colours[most], edgecolors="black", linewidths=0.5)
+    doubtful = np.bincount(index.ravel(), limited) > 0
+    for marker, chosen in (("o", ~doubtful), ("X", doubtful)):
+        look = {"marker": marker, "c": colours[most[chosen]], "edgecolors": "black"}
+        axes.scatter(*at[chosen].T, s=14, linewidths=0.5, **look)
     many = counts.sum(1)
     if many.max() > 1 and len(at) <= 100:
         for place, count, of in zip(at, counts[:, 0], many, strict=True):
@@ -341,6 +353,10 @@ def window_figure(
         n, of, a, b = rows[name]
         words = f"{name}: {n} of {of} ({100 * a:.2g} to {100 * b:.2g} %)"
         handles.append(Patch(facecolor=colour, alpha=0.75, ec="0.3", linewidth=0.5, label=words))
+    n, of, a, b = rows["trust limited"]
+    words = f"trust limited: {n} of {of} ({100 * a:.2g} to {100 * b:.2g} %)"
+    look = {"marker": "X", "mfc": "white", "mec": "black", "markeredgewidth": 0.5}
+    handles.append(Line2D([], [], linestyle="", markersize=4, label=words, **look))
     figure.legend(handles=handles, loc="outside right upper")
     figure.suptitle(f"process window, {len(states)} runs", x=0.01, ha="left")
     return figure

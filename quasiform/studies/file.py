@@ -94,6 +94,9 @@ class Study(Run):
             if name not in self.values:
                 words = f"[robust] window: {suggestion(name, self.values)}"
                 raise InputError(f"{words}, got '{name}'")
+            values = getattr(self.values[name], "values", (0.0,))
+            if not all(isinstance(value, int | float) for value in values):
+                raise InputError(f"[robust] window: {name} must have numbers, got {values}")
 
     @property
     def values(self) -> dict[str, Values | Range]:

@@ -26,9 +26,10 @@ STATES: dict[str, Callable[[Row], bool]] = {  # the first that is true is shown 
     "wrinkled": lambda row: row["wrinkled"],
     "locked": lambda row: row["locked"],
 }
+TRUST = "trust limited"
 LIMITED = {
     "one of many states": lambda row: bool(row["summary"]["one_of_many"]),
-    "trust limited": lambda row: bool(row["summary"]["trust"]),
+    TRUST: lambda row: bool(row["summary"]["trust"]),
 }
 GOOD = "good"
 NEAR = 1e-6  # mm: a node is the mirror image of another
@@ -50,9 +51,10 @@ def answer(plan: Plan, solve: Solve, fields: Callable[[str], Any]) -> Answer:
     tables, pictures = {"robust.csv": shares}, {}
     if robust.window:
         places = [[job.values[key] for key in robust.window] for job in plan.jobs]
-        if all(isinstance(value, int | float) for place in places for value in place):
-            order = [GOOD, *reversed(states)]
-            pictures["window.png"] = "window", (robust.window, places, shown, order, shares)
+        order = [GOOD, *reversed(states)]
+        limited = [completed(row) and LIMITED[TRUST](row) for row in rows]
+        args = robust.window, places, shown, order, limited, shares
+        pictures["window.png"] = "window", args
     if robust.starts:
         tables["branches.csv"], more = branches(plan, rows, fields)
         lines += more
