@@ -20,6 +20,7 @@ from quasiform.solve.scatter import AMPLITUDE
 from quasiform.studies import fields, indices, optimise, plan, robust, trim
 from quasiform.studies.run import outcome
 from quasiform.toml_file import toml_text
+from validation.stability.scenes import flat_strip
 
 STRIP = {"kind": "oat", "size": 40.0, "outputs": ["force_N"]}
 TWO = {"angle": {"from": 40.0, "to": 50.0}, "displacement": {"from": 2.0, "to": 6.0}}
@@ -138,6 +139,21 @@ def test_branches_have_shares_and_energies():
     assert lines[-1].startswith("states of different branches are 4.5 to ")
 
 
+def test_a_strip_that_buckles_has_two_branches_of_one_energy():
+    planned = plan(CUP | {"robust": {"starts": 8}, "outputs": ["force_N"]})
+    model, rows, states = flat_strip(10.0, qf.Fabric.preset("locking")), [], {}
+    for k, job in enumerate(planned.jobs):
+        result = qf.solve(model, estimate=False, perturbation=0.01 * bool(k), seed=k)
+        states[job.id] = {"flat": result.sheet.flat, "points": result.sheet.points}
+        rows.append(row(1.0, energy_mJ=result.energy))
+    up = sum(state["points"][:, 2].max() > 5 for state in states.values())
+    table, lines = robust.branches(planned, rows, states.get)
+    assert sorted(table["runs"]) == sorted([up, 8 - up])
+    assert 0 < up < 8
+    assert table["energy_mJ"][0] == pytest.approx(table["energy_mJ"][1], rel=1e-9)
+    assert len(lines) == 3
+
+
 def test_a_start_is_that_of_perturbed_runs():
     planned = plan(STRIP | {"displacement": 20.0, "estimate": False, "robust": {"starts": 2}})
     found, left = outcome(planned.jobs[1].description, {}, False, True)
@@ -189,6 +205,9 @@ def test_a_search_keeps_limits_and_meets_targets():
     planned = plan(STRIP | {"vary": TWO, "optimise": {"target": {"force_N": 150.0}}})
     answer = optimise.answer(planned, solved(force))
     assert any(line.startswith("force_N 150") for line in answer.lines)
+    planned = plan(STRIP | {"vary": TWO, "optimise": {"least": "force_N", "runs": 10}})
+    optimise.answer(planned, solved(force))
+    assert len(planned.jobs) == 10
     lost = optimise.answer(planned, solved(lambda **_: None))
     assert lost.lines[-1] == "no run to start the search from"
 

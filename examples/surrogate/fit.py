@@ -41,7 +41,7 @@ def read(folder: Path) -> tuple[list[str], list[dict[str, str]], str]:
 
 def fitted(x: np.ndarray, y: np.ndarray) -> GaussianProcessRegressor:
     """Gaussian process with a length for each key, for inputs and outputs of unit variance."""
-    lengths = RBF(np.full(x.shape[1], 3.0), (0.1, 1e3))
+    lengths = RBF(np.full(x.shape[1], 3.0), (0.1, 1e6))
     kernel = ConstantKernel(10.0, (1e-2, 1e4)) * lengths + WhiteKernel(1e-3, (1e-8, 1.0))
     return GaussianProcessRegressor(kernel, random_state=0).fit(x, y)
 

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from ..result.sheet import FormedSheet
 
 LEAST = 8  # runs from which on a picture of the table says something
+DENSE = 100  # runs from which on the points of a scatter are faint
 SHOWN = 4, 6  # outputs and keys of a scatter at most
 STATES = {  # colours; those of limits follow
     "good": "#e6e2ee",
@@ -31,6 +32,7 @@ STATES = {  # colours; those of limits follow
     "not completed": "#9e9e9e",
 }
 LIMITS = ("#2c7fb8", "#41b6c4", "#225ea8")
+BEYOND = 0.4  # of the range of an output: how much of an error bar is shown beyond it
 SPAN = 0.1, 0.9  # quantiles of a key between which a tornado shows its effect
 DPI = plot.DPI
 BARS = {"elinewidth": 0.7, "capsize": 1.5}
@@ -98,6 +100,7 @@ def scatter_figure(
     figure = new_figure(0.5 + 1.5 * len(outputs))
     panels = figure.subplots(len(outputs), len(keys), sharex="col", sharey="row", squeeze=False)
     bad = np.array([not table["converged"][k] for k in rows])
+    faint = min(1.0, max(0.15, (DENSE / len(rows)) ** 0.5))
     many = np.array([bool(table["one_of_many"][k]) for k in rows]) & ~bad
     kinds = {
         "converged": (~bad & ~many, FIRST, {}),
@@ -112,11 +115,14 @@ def scatter_figure(
                 if chosen.any():
                     bars = None if error is None else error[chosen]
                     look = {"fmt": "o", "markersize": 2.2, "elinewidth": 0.5, "linewidth": 0.7}
-                    look |= {"color": colour, "label": label} | more
+                    look |= {"color": colour, "label": label, "alpha": faint} | more
                     axes.errorbar(x[chosen], values[chosen], bars, **look)
         axes_row[0].set_ylabel(_words(output))
+        room = BEYOND * (np.ptp(values) or 1.0)  # a long bar is cut
+        low, high = axes_row[0].get_ylim()
+        axes_row[0].set_ylim(max(low, values.min() - room), min(high, values.max() + room))
     for axes, key in zip(panels[-1], keys, strict=True):
-        axes.set_xlabel(plot.plain(key))
+        axes.set_xlabel(_folded(plot.plain(key)))
     found = panels[0, 0].get_legend_handles_labels()
     if len(found[0]) > 1:
         figure.legend(*found, loc="outside upper right", ncols=3)

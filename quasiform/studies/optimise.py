@@ -8,6 +8,7 @@ derivatives. Values are rounded, so that a search that is started again takes it
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 
 import numpy as np
 
@@ -22,6 +23,10 @@ DIGITS = 6  # of a value relative to its range
 FIRST = 0.2  # of the ranges: step of the search at its start
 FEASIBLE = 1e-3  # of a limit: by how much it may be exceeded
 WORSE = 1.0  # times the range of the aim: what a run without an output counts more than the worst
+
+
+class EnoughError(Exception):
+    """All runs that a search may have are done."""
 
 
 class _Search:
@@ -41,6 +46,8 @@ class _Search:
     def at(self, u: Sequence[float]) -> tuple[float, list[float]]:
         """Aim and limits at a point of the unit cube; the run is solved if it is new."""
         if (job := self.job(u)).id not in self.rows:
+            if len(self.plan.jobs) >= self.asked.runs:
+                raise EnoughError
             self.plan.jobs.append(job)
             self.rows[job.id] = self.solve([job])[0]
         return self.judged(self.rows[job.id])
@@ -95,19 +102,16 @@ def answer(plan: Plan, solve: Solve) -> Answer:
         return Answer([*shortfall([*search.rows.values()]), "no run to start the search from"])
     first, scale = search.best()[0], np.ptp(aims(search)) or 1.0
     limits = NonlinearConstraint(lambda u: search.at(u)[1], -np.inf, 0.0)
-    minimize(
-        lambda u: search.at(u)[0] / scale,
-        _place(plan, first),
-        method="COBYQA",
-        bounds=[(0.0, 1.0)] * len(plan.study.values),
-        constraints=limits if asked.limits else (),
-        options={
-            "maxfev": asked.runs - asked.start,
-            "initial_tr_radius": FIRST,
-            "final_tr_radius": asked.tolerance,
-        },
-    )
-    return _found(search)
+    with suppress(EnoughError):
+        minimize(
+            lambda u: search.at(u)[0] / scale,
+            _place(plan, first),
+            method="COBYQA",
+            bounds=[(0.0, 1.0)] * len(plan.study.values),
+            constraints=limits if asked.limits else (),
+            options={"initial_tr_radius": FIRST, "final_tr_radius": asked.tolerance},
+        )
+    return _found(search, first)
 
 
 def aims(search: _Search) -> list[float]:
@@ -123,7 +127,7 @@ def _place(plan: Plan, job: Job) -> list[float]:
     return [brentq(lambda u, k=k, n=n: k.at(u) - job.values[n], 0.0, 1.0) for n, k in keys]
 
 
-def _found(search: _Search) -> Answer:
+def _found(search: _Search, first: Job) -> Answer:
     plan, asked = search.plan, search.asked
     (job, row), count = search.best(), len(plan.jobs)
     names = list(asked.target or [asked.least or asked.most])
@@ -134,8 +138,12 @@ def _found(search: _Search) -> Answer:
     for name, value in zip(names, numbers(row, names), strict=True):
         error = dotted_values(row["summary"]).get(error_column(name))
         words = f"{name} {number(value)}" + (f" ± {number(error, 2)} mesh" if error else "")
-        wanted = f", {number(asked.target[name])} wanted" if asked.target else ""
-        lines.append(words + wanted)
+        begun = numbers(search.rows[first.id], [name])[0]
+        words += f", {number(asked.target[name])} wanted" if asked.target else ""
+        words += f"; {number(begun)} in the best of the first {asked.start} runs"
+        if error and 0 < abs(begun - value) < error:
+            words += ", a difference within the mesh error"
+        lines.append(words)
     for name, limit in asked.limits.items():
         lines.append(f"{name} {number(numbers(row, [name])[0])}, at most {limit:g} wanted")
     if over > FEASIBLE:
