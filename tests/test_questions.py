@@ -227,9 +227,10 @@ def test_trim_line_by_a_known_map(tmp_path):
     turn = 2 * np.pi * np.arange(120) / 120
     flat = 170 * np.column_stack([np.cos(turn), np.sin(turn)])  # beyond the first blank in places
     line = np.column_stack([flat @ [0.9, 0.1], 0.8 * flat[:, 1], 1e-3 * flat[:, 0] ** 2])
-    for columns, name in ((3, "x,y,z"), (2, "x,y")):
-        path = tmp_path / f"{columns}.csv"
-        np.savetxt(path, line[:, :columns], delimiter=",", header=name, comments="")
+    both = np.column_stack([np.repeat([0, 1], 120), np.vstack([line, line * [0.3, 0.3, 0.09]])])
+    for table, name in ((line, "x,y,z"), (line[:, :2], "x,y"), (both, "loop,x,y,z")):
+        path = tmp_path / "line.csv"
+        np.savetxt(path, table, delimiter=",", header=name, comments="")
         planned = plan(CUP | {"trim": {"line": str(path), "within": 1.5}})
         states = {}
 
@@ -246,6 +247,11 @@ def test_trim_line_by_a_known_map(tmp_path):
         assert table["largest_mm"][-1] < 1.5
         x, y = np.array([p.split(",") for p in answer.tables["blank.csv"].split()[1:]], float).T
         assert np.hypot(x, y) == pytest.approx(170.0, abs=1.6)
+        blank = tomllib.loads(answer.tables["blank.toml"])["blank"]
+        assert len(blank["points"]) == len(x)
+        holes = [np.hypot(*np.transpose(hole["points"])) for hole in blank.get("holes", [])]
+        assert len(holes) == (name == "loop,x,y,z")
+        assert np.concatenate([[51.0], *holes]) == pytest.approx(51.0, abs=1.6)
         draw.trim_figure(*answer.pictures["trim.png"][1])
 
 

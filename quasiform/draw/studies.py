@@ -162,7 +162,8 @@ def _words(name: str) -> str:
 
 def _folded(words: str) -> str:
     """Words on lines that fit beside a low panel."""
-    return "\n".join(textwrap.wrap(words.replace(".", ". "), 18)).replace(". ", ".")
+    words = words.replace(".", ". ").replace(" in ", "\u00a0in\u00a0")
+    return "\n".join(textwrap.wrap(words, 18)).replace(". ", ".")
 
 
 @styled

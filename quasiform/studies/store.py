@@ -25,7 +25,7 @@ from .run import FIELDS, PLACE, TEXTS
 ROWS = "rows.jsonl"
 TABLES = ("study.csv", "study.parquet")
 ANSWER = "answer.txt"
-ANSWERS = (ANSWER, "sobol.csv", "robust.csv", "branches.csv", "trim.csv", "blank.csv")
+ANSWERS = (ANSWER, "sobol.csv", "robust.csv", "branches.csv", "trim.csv", "blank.csv", "blank.toml")
 PICTURES = [f"{n}.png" for n in "scatter force tornado sobol window optimise trim".split()]
 FILES = (*TABLES, *ANSWERS, *PICTURES, STORE, MANIFEST, "runs", ROWS)
 DPI = 200

@@ -19,17 +19,17 @@ from typing import Any
 import numpy as np
 import shapely
 
-from ..checks import InputError, naming, number
+from ..checks import number
 from ..comparison.mapping import closest, on_surface, spacing
 from ..result.sheet import FormedSheet
 from ..scenes import scene_file
 from ..scenes.scene_parts import Region, SceneFile
+from ..toml_file import toml_text
 from .answer import Answer, Row, Solve, completed, shortfall
-from .plan import Job, Plan
+from .plan import Plan
 from .questions import target
 
 ROUND = "round"
-BLANK = "blank.csv"
 FINE = 0.05  # of the distance that is allowed: spacing of the points that are compared
 DIGITS = 6  # of a coordinate, mm
 
@@ -44,6 +44,7 @@ def answer(plan: Plan, solve: Solve, fields: Callable[[str], dict[str, FloatArra
     table: dict[str, list[Any]] = {n: [] for n in (ROUND, "run", "largest_mm", "mean_mm")}
     sheets: list[FormedSheet] = []
     rows: list[Row] = []
+    why: list[str] = []
     while True:
         job = plan.jobs[-1]
         rows += solve([job])
@@ -56,27 +57,27 @@ def answer(plan: Plan, solve: Solve, fields: Callable[[str], dict[str, FloatArra
             column.append(value)
         if off.max() <= trim.within or len(sheets) == trim.runs:
             break
-        with naming(trim.line):
-            plan.jobs.append(_next(plan, file, flat_of(sheets[-1], lines), len(sheets) + 1))
+        flat = [shapely.Polygon(np.round(ring, DIGITS)) for ring in flat_of(sheets[-1], lines)]
+        if not all(ring.is_valid for ring in flat):
+            why = [f"round {len(sheets)}: the flat line crosses itself, the part folds there"]
+            break
+        blank = {"blank": _blank(file, [ring.exterior for ring in flat])}
+        plan.jobs.append(replace(plan.described(blank), values={ROUND: len(sheets) + 1}))
+    why += shortfall(rows)
     if not sheets:
-        return Answer([*shortfall(rows), "no blank: the first one was not formed"])
-    return _found(trim.within, table, sheets, lines, shortfall(rows))
+        return Answer([*why, "no blank: the first one was not formed"])
+    return _found(trim.within, table, sheets, lines, file, why)
 
 
 def _sheet(arrays: dict[str, FloatArray]) -> FormedSheet:
     return FormedSheet(arrays["points"], arrays["triangles"], arrays["flat"])
 
 
-def _next(plan: Plan, file: SceneFile, flat: list[FloatArray], count: int) -> Job:
-    """The run of the next blank; holes are those of the lines, or where they have none its own."""
-    outline, *holes = (shapely.Polygon(np.round(ring, DIGITS)) for ring in flat)
-    for ring in (outline, *holes):
-        if not ring.is_valid:
-            raise InputError("the flat line crosses itself: the part folds there, or it is too far")
-    rings = [hole.exterior for hole in holes] or list(file.outline.interiors)
-    blank = Region.of(shapely.Polygon(outline.exterior, rings))
-    table = tomllib.loads(scene_file.scene_toml(replace(file, blank=blank)))["blank"]
-    return replace(plan.described({"blank": table}), values={ROUND: count})
+def _blank(file: SceneFile, rings: list[Any]) -> dict[str, Any]:
+    """Table [blank] of the scene with another outline, and holes; its own where there are none."""
+    outline, *holes = rings
+    blank = Region.of(shapely.Polygon(outline, holes or file.outline.interiors))
+    return tomllib.loads(scene_file.scene_toml(replace(file, blank=blank)))["blank"]
 
 
 def flat_of(sheet: FormedSheet, lines: list[FloatArray]) -> list[FloatArray]:
@@ -111,15 +112,12 @@ def distances(sheet: FormedSheet, lines: list[FloatArray], step: float) -> Float
     """(n,) distances of the points of lines from the edge of the sheet, and of it from them, mm."""
     from scipy.spatial import cKDTree
 
-    seen = _seen(sheet, lines[0])
-    found = []
-    for line, edge in zip(lines, seen.outline, strict=False):
-        both = []
-        for points in (line, edge):
-            ring = shapely.segmentize(shapely.LinearRing(points), step)
-            both.append(np.nan_to_num(shapely.get_coordinates(ring, include_z=True)))
-        found += [cKDTree(a).query(b)[0] for a, b in (both, both[::-1])]
-    return np.concatenate(found)
+    edges = _seen(sheet, lines[0]).outline
+    both = []
+    for rings in (lines, edges if len(lines) > 1 else edges[:1]):  # else holes stay as they are
+        dense = shapely.segmentize([shapely.LinearRing(ring) for ring in rings], step)
+        both.append(np.nan_to_num(shapely.get_coordinates(dense, include_z=True)))
+    return np.concatenate([cKDTree(a).query(b)[0] for a, b in (both, both[::-1])])
 
 
 def _found(
@@ -127,7 +125,8 @@ def _found(
     table: dict[str, list[Any]],
     sheets: list[FormedSheet],
     lines: list[FloatArray],
-    short: list[str],
+    file: SceneFile,
+    why: list[str],
 ) -> Answer:
     words = [
         f"round {k}: edge and line {far:.2f} mm apart at most, {mean:.2f} in the mean (run {run})"
@@ -139,8 +138,9 @@ def _found(
         words.append(f"not within {within:g} mm: the best is round {best + 1}")
     rings = [sheets[best].flat[loop] for loop in sheets[best].loops]
     area = shapely.Polygon(rings[0], rings[1:]).area
-    words.append(f"blank of round {best + 1}: {number(area)} mm², {BLANK}")
+    words.append(f"blank of round {best + 1}: {number(area)} mm²")
     text = "x,y\n" + "".join(f"{x:.6f},{y:.6f}\n" for x, y in rings[0][:-1])
-    tables = {"trim.csv": table, BLANK: text}
+    scene = toml_text({"blank": _blank(file, rings)})
+    tables = {"trim.csv": table, "blank.csv": text, "blank.toml": scene}
     picture = "trim", (sheets[0], sheets[best], lines, table, within)
-    return Answer([*short, *words], tables, {"trim.png": picture})
+    return Answer([*why, *words], tables, {"trim.png": picture})
