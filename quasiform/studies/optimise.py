@@ -61,7 +61,7 @@ class _Search:
         worst = max(aims) + WORSE * (np.ptp(aims) or abs(max(aims)) or 1.0)
         return float(worst), [1.0] * len(self.asked.limits)
 
-    def best(self) -> tuple[Job, Row]:
+    def best(self, converged: bool = False) -> tuple[Job, Row] | None:
         """The run with the best aim within the limits; else that which exceeds them least."""
 
         def rank(pair: tuple[Job, Row]) -> tuple[float, float]:
@@ -69,8 +69,14 @@ class _Search:
             excess = max(over, default=0.0)
             return max(excess, 0.0) * (excess > FEASIBLE), value
 
-        jobs = [job for job in self.plan.jobs if aim(self.asked, self.rows.get(job.id, {}))]
-        return min(((job, self.rows[job.id]) for job in jobs), key=rank)
+        runs = [(job, self.rows[job.id]) for job in self.plan.jobs]
+        known = [
+            (job, row)
+            for job, row in runs
+            if aim(self.asked, row)
+            and (row["summary"]["certificate"]["converged"] or not converged)
+        ]
+        return min(known, key=rank, default=None)
 
 
 def aim(asked: Optimise, row: Row) -> tuple[float, list[float]] | None:
@@ -132,9 +138,8 @@ def _found(search: _Search, first: Job) -> Answer:
     (job, row), count = search.best(), len(plan.jobs)
     names = list(asked.target or [asked.least or asked.most])
     over = max(search.judged(row)[1], default=0.0)
-    values = ", ".join(f"{key} = {number(value, 5)}" for key, value in job.values.items())
     lines = shortfall(list(search.rows.values()))
-    lines.append(f"best of {count} runs: {values} (run {job.id})")
+    lines.append(f"best of {count} runs: {_shown(job, row, [])}")
     for name, value in zip(names, numbers(row, names), strict=True):
         error = dotted_values(row["summary"]).get(error_column(name))
         words = f"{name} {number(value)}" + (f" ± {number(error, 2)} mesh" if error else "")
@@ -152,7 +157,9 @@ def _found(search: _Search, first: Job) -> Answer:
     if ends := [key for key, u in at.items() if min(u, 1 - u) < asked.tolerance]:
         lines.append(f"at the end of the range of {', '.join(ends)}: a wider range may be better")
     if not row["summary"]["certificate"]["converged"]:
-        lines.append("this run is not converged")
+        other = search.best(converged=True)
+        words = "none is" if other is None else f"the best that is: {_shown(*other, names)}"
+        lines.append(f"this run is not converged; {words}")
     words = " and ".join(names)
     words = "relative deviation from the target" if asked.target else words
     values = [-a if asked.most else a for a in aims(search)]
@@ -161,3 +168,9 @@ def _found(search: _Search, first: Job) -> Answer:
     columns = {key: [j.values[key] for j in plan.jobs] for key in plan.keys}
     picture = "search", (words, values, kept, index, asked.start, columns)
     return Answer(lines, {}, {"optimise.png": picture})
+
+
+def _shown(job: Job, row: Row, names: Sequence[str]) -> str:
+    """Values of the keys of a run, and some of its outputs."""
+    entries = [*job.values.items(), *zip(names, numbers(row, names), strict=True)]
+    return f"{', '.join(f'{name} = {number(v, 5)}' for name, v in entries)} (run {job.id})"
