@@ -358,10 +358,10 @@ def window_figure(
     handles = []
     for name, colour in zip(order, colours, strict=True):
         n, of, a, b = rows[name]
-        words = f"{name}: {n} of {of} ({100 * a:.2g} to {100 * b:.2g} %)"
+        words = f"{name}: {n} of {of} ({number(100 * a, 2)} to {number(100 * b, 2)} %)"
         handles.append(Patch(facecolor=colour, alpha=0.75, ec="0.3", linewidth=0.5, label=words))
     n, of, a, b = rows["trust limited"]
-    words = f"trust limited: {n} of {of} ({100 * a:.2g} to {100 * b:.2g} %)"
+    words = f"trust limited: {n} of {of} ({number(100 * a, 2)} to {number(100 * b, 2)} %)"
     look = {"marker": "X", "mfc": "white", "mec": "black", "markeredgewidth": 0.5}
     handles.append(Line2D([], [], linestyle="", markersize=4, label=words, **look))
     figure.legend(handles=handles, loc="outside right upper")

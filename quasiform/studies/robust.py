@@ -113,7 +113,7 @@ def branches(
                 column.append(value)
             words = f"branch {k}{f' at {at}' * bool(at)}: {count} of {len(ended)} runs"
             words += f", stored energy {' to '.join(dict.fromkeys(map(number, energy)))} mJ"
-            words += " (the least)" * (energy[0] == least)
+            words += " (the least)" * (energy[0] == least and len(set(label)) > 1)
             lines.append(f"{words}, as run {job.id}")
         if len(apart):
             low, high = (number(end, 2) for end in (apart.min(), apart.max()))
