@@ -436,7 +436,7 @@ class Fabric:
     def preset(name: str) -> Fabric:
         """MD600 with the 'best-fit' or the 'locking' shear law of Table 1, by this name."""
         if name not in PRESETS:
-            raise InputError(f"unknown law '{name}': {suggestion(name, PRESETS)}, or a .toml file")
+            raise InputError(f"unknown law '{name}': {suggestion(name, PRESETS)} (or a .toml file)")
         return Fabric(f"MD600 {name}", ThreeStageLaw(**_MD600, **PRESETS[name]))
 
     @staticmethod

@@ -826,7 +826,7 @@ def test_export_hands_over_what_a_run_left(here, capsys, undrawn):
     assert main(["export", "run", "--to", "calculix"]) == 0
     said = capsys.readouterr().out
     assert "writing to run-calculix" in said
-    assert "notes true of every such export, in handover.txt" in said
+    assert "notes that apply to every such export are in handover.txt" in said
     assert {p.name for p in Path("run-calculix").iterdir()} == {
         *("mesh.inp", "fibres.inp", "part.inp", "handover.txt")
     }

@@ -49,7 +49,7 @@ def test_a_new_scene_runs_as_it_is_written(capsys):
 def test_all_that_is_left_out_of_a_new_scene_may_be_switched_on(here):
     main(["new", "part.toml"])
     text = (here / "part.toml").read_text(encoding="utf-8")
-    assert text.count("\n#: ") == 21
+    assert text.count("\n#: ") == 22
     (here / "all.toml").write_text(text.replace("\n#: ", "\n"), encoding="utf-8")
     file = scene_file.load("all.toml")
     assert (file.gravity, file.symmetry, len(file.outline.interiors)) == (True, "none", 1)
@@ -182,7 +182,16 @@ def test_expected_time_is_solves_by_their_time(capsys, monkeypatch):
     assert main(["form", "hemisphere", "--size", "30", "--dry-run"]) == 0
     out = capsys.readouterr().out
     assert "expected time: about 30 s on this machine" in out
-    assert "(9 s to 3 min; buckling takes longest), meshes of 5 and 10 mm\n" in out
+    assert "up to 3 min where the sheet buckles; meshes: 5 and 10 mm\n" in out
+
+
+def test_a_dry_run_warns_of_what_keeps_a_run_from_its_certificate(capsys):
+    assert main(["form", "hemisphere", "--size", "6", "--increment", "10", "--dry-run"]) == 0
+    out = capsys.readouterr().out
+    assert "a mesh of 6 mm is too coarse for the smallest radius of the tools, 10 mm" in out
+    assert "warning: friction follows its path in increments of 5 mm, not 10" in out
+    assert main(["form", "hemisphere", "--size", "4.9", "--increment", "5", "--dry-run"]) == 0
+    assert "warning" not in capsys.readouterr().out
 
 
 def test_expected_time_may_not_be_known(monkeypatch):

@@ -935,7 +935,7 @@ def test_the_command_prints_what_is_of_this_part_alone(tmp_path, capsys, to):
     assert "the run stopped before its goal" in said
     assert "several plies" not in said
     assert "several plies" in told
-    general = int(re.search(r"and (\d+) notes true of every such export, in handover.txt", said)[1])
+    general = int(re.search(r"(\d+) notes that apply to every such", said)[1])
     assert said.count("  note: ") + general == told.count("\n- ")
 
 

@@ -19,7 +19,7 @@ from quasiform.checks import interruptible
 from quasiform.console.cli import main
 from quasiform.result.files import FILES, SENSITIVITY
 from quasiform.scenes import scene_file
-from quasiform.solve import Journal, dependence
+from quasiform.solve import Journal, dependence, journal
 
 
 def forming(size=12.0, travel=20.0):
@@ -28,6 +28,12 @@ def forming(size=12.0, travel=20.0):
 
 class KilledError(BaseException):
     """What no handler of the program catches, as SIGKILL."""
+
+
+@pytest.fixture(autouse=True)
+def _all_is_recorded(monkeypatch):
+    monkeypatch.setattr(journal, "SHARE", np.inf)
+    monkeypatch.setattr(journal, "SOON", 0.0)
 
 
 def coarse_path(model):
@@ -255,13 +261,68 @@ def test_a_full_disk_loses_nothing_earlier(tmp_path, monkeypatch, capsys):
     assert readable(tmp_path / "out")["reached_mm"] == 20
 
 
+def test_records_take_a_tenth_of_the_time_of_a_run(tmp_path, monkeypatch):
+    monkeypatch.setattr(journal, "SHARE", 0.1)
+    now, made, checkpoint = [0.0], [], Journal._checkpoint
+
+    def written(self, run, *given):
+        made.append(now[0])
+        now[0] += 1.0  # s that a record takes
+        return checkpoint(self, run, *given)
+
+    def passed(_):
+        now[0] += 3.0  # s that an increment takes
+
+    monkeypatch.setattr(journal.time, "perf_counter", lambda: now[0])
+    monkeypatch.setattr(Journal, "_checkpoint", written)
+    straight = qf.solve(forming(), estimate=False)
+    with pytest.raises(KilledError):
+        qf.solve(forming(), killed_after(9), estimate=False, out=tmp_path)
+    assert len(made) == 1  # the time of the nine increments stood still
+    result = qf.solve(forming(), passed, estimate=False, out=tmp_path, resume=True)
+    assert result.history["linear_solves"].tolist() == straight.history["linear_solves"].tolist()
+    gaps = np.diff(made[1:])
+    assert len(gaps) > 1
+    assert (gaps >= 11.0).all()  # a second of a record, ten of the run
+
+
+def test_perturbed_starts_that_were_interrupted_are_solved_by_resume(tmp_path, monkeypatch):
+    from quasiform.solve import asked
+
+    def interrupted(*given, **more):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(asked, "spread", interrupted)
+    case = ["form", "hemisphere", "--size", "20", "--travel", "5", "--seeds", "1", "--no-estimate"]
+    assert main([*case, "--out", str(tmp_path / "a")]) == 3
+    assert "perturbed starts" in readable(tmp_path / "a")["reason"]
+    monkeypatch.undo()
+    assert main(["resume", str(tmp_path / "a")]) == 0
+    summary = readable(tmp_path / "a")
+    assert summary["status"] == "completed"
+    assert set(summary["spread"]) >= {"force_N", "shear_angle_deg"}
+    assert not (tmp_path / "a/resume.npz").exists()
+
+
+def test_a_path_that_took_long_is_drawn_before_its_error_is_estimated(tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(qf.Result, "draw", lambda self, folder: drawn.append(self.estimate))
+    for soon in (0.0, 1e9):
+        monkeypatch.setattr(journal, "SOON", soon)
+        qf.solve(forming(size=20, travel=5), out=tmp_path / str(soon))
+    early, *late = [estimate["force_N"] for estimate in drawn]
+    assert early is None
+    assert len(late) == 2
+    assert late[0] == late[1] > 0
+
+
 def test_a_new_run_leaves_the_old_result_until_it_has_one_of_its_own(tmp_path):
     qf.solve(qf.off_axis_tension(size=40, displacement=5), estimate=False, out=tmp_path)
     with pytest.raises(qf.InputError, match="holds a result already"):
         qf.solve(qf.off_axis_tension(size=40, displacement=5), out=tmp_path)
-    journal = Journal(tmp_path, force=True)
+    over = Journal(tmp_path, force=True)
     assert readable(tmp_path)["status"] == "completed"
-    qf.solve(qf.off_axis_tension(size=40, displacement=10), estimate=False, out=journal)
+    qf.solve(qf.off_axis_tension(size=40, displacement=10), estimate=False, out=over)
     assert readable(tmp_path)["reached_mm"] == 10
 
 

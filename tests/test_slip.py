@@ -212,7 +212,7 @@ def hemisphere(symmetry="auto", slip=SLIP, size=15.0):
     return qf.forming("hemisphere", 0.0, fabric, size=size, travel=20.0, symmetry=symmetry)
 
 
-def test_a_quarter_is_the_whole_sheet():
+def test_a_quarter_is_the_whole_sheet(tmp_path):
     """Positions, slip, permanent slip and all fields."""
     part, whole = (
         qf.solve(hemisphere(s, qf.Slip(1e-4, 0.01, 5.0)), estimate=False) for s in ("auto", "none")
@@ -231,6 +231,18 @@ def test_a_quarter_is_the_whole_sheet():
         one, other = a.point_fields[name][order[0]], b.point_fields[name][order[1]]
         assert np.abs(one).max() > 0.02
         assert_allclose(one, other, atol=2e-3)
+    rows = {row.quantity: row for row in qf.compare(part, whole).rows}
+    for family in ("warp", "weft"):
+        row = rows[f"largest slip of the {family}"]
+        assert row.unit == "mm"
+        assert row.result == pytest.approx(np.abs(a.point_fields[f"slip_{family}"]).max())
+        assert abs(row.difference) < 2e-3
+        assert 0 < rows[f"99th percentile of the slip of the {family}"].result <= row.result
+    bare = replace(b, point_fields={k: v for k, v in b.point_fields.items() if "slip" not in k})
+    bare.write(tmp_path / "bare.vtu")
+    without = qf.compare(part, tmp_path / "bare.vtu")
+    assert not any("slip" in row.quantity for row in without.rows)
+    assert "slip of the warp is known of the result only" in without.notes
 
 
 def test_fields_of_the_layers():

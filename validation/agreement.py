@@ -13,8 +13,9 @@ from matplotlib.figure import Figure
 
 from .bands import Case, Row
 
-SERIES = re.compile(r",?\s*(?:u=|at )[\d.]+(?: deg| 1/m| mm)?")  # one place of a curve
+SERIES = re.compile(r",?\s*(?:\bto u=|u=|at )[\d.]+(?: deg| 1/m| mm)?")  # one place of a curve
 WORDS = (
+    (r"\bto u=([\d.]+)", r"to \1 mm"),
     (r"u=([\d.]+)", r"at \1 mm"),
     (r" deg\b", "°"),
     (r"(\d) x (\d)", r"\1 × \2"),
@@ -60,6 +61,8 @@ def label(name: str) -> str:
     --------
     >>> label("INSA 150 x 450: force u=10, elements")
     'INSA 150 × 450: force at 10 mm (finite elements)'
+    >>> label("deviation of the kinematics to u=30")
+    'deviation of the kinematics to 30 mm'
     """
     for pattern, words in WORDS:
         name = re.sub(pattern, words, name)

@@ -242,6 +242,7 @@ def compare(
         own, what = own_values((sheet, theirs), field, gamma, whole, notes)
         rows.angles(own, field, gamma, "γ" if how.signed else "|γ|", band_angle)
         rows.areas(own, what, mine.areas if areas is None else areas, band_angle)
+    rows.slips((sheet, theirs))
     rows.outlines(sheet, theirs, band_outline)
     forces = common_forces(mine, other, goal)
     rows.forces(forces, band_force)

@@ -20,7 +20,7 @@ import numpy as np
 from ..checks import InputError
 from ..result.measures import percentile
 from ..result.sheet import FormedSheet
-from .mapping import ANGLE, SIDES, WAYS, mapped, on_surface, way
+from .mapping import ANGLE, SIDES, SLIPS, WAYS, mapped, on_surface, way
 from .place import rim
 from .read import SAME, Side
 
@@ -126,6 +126,19 @@ class Rows:
             few += [f"{name} ({over})"] * (min(counts) < FEW)
         if few:
             self.notes.append(f"means of few say little of an area: {', '.join(few)}")
+
+    def slips(self, sheets: tuple[FormedSheet, FormedSheet]) -> None:
+        """Add how far the rovings of both have slipped along themselves."""
+        for family, name in SLIPS.items():
+            slid = [one.point_fields.get(name) for one in sheets]
+            known = [side for side, values in zip(SIDES, slid, strict=True) if values is not None]
+            if len(known) == 1:
+                self.notes.append(f"slip of the {family} is known of the {known[0]} only")
+            if len(known) < 2:
+                continue
+            values = [percentile(v, s.weights, 0.99) for v, s in zip(slid, sheets, strict=True)]
+            self.both(f"99th percentile of the slip of the {family}", "mm", *values)
+            self.both(f"largest slip of the {family}", "mm", *(v.max() for v in slid))
 
     def outlines(self, sheet: FormedSheet, theirs: FormedSheet, band: float | None) -> None:
         """Add the distances of the outlines, and the areas within."""

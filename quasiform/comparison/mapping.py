@@ -16,6 +16,7 @@ from ..result.sheet import FormedSheet
 
 FloatArray = np.ndarray
 ANGLE = "shear_angle"
+SLIPS = {"warp": "slip_warp", "weft": "slip_weft"}
 SIDES = ("result", "reference")
 IGL = ("igl", "surface", "closest points on a formed surface need libigl")
 WAYS = {"flat": "by flat coordinates", "formed": "by the closest point of the formed surface"}

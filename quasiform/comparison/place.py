@@ -24,7 +24,7 @@ import numpy as np
 from ..checks import InputError
 from ..net.blank import rotation
 from ..result.sheet import FormedSheet
-from .mapping import ANGLE, closest, spacing
+from .mapping import ANGLE, SLIPS, closest, spacing
 
 if TYPE_CHECKING:
     import shapely
@@ -74,11 +74,15 @@ def _mirrored(sheet: FormedSheet, axis: int, signed: bool) -> FormedSheet:
         own = np.where(on, 0.0, values) if signed and meshed else values
         return np.append(own, sign * values[~on])
 
+    slid = {k: v for k, v in sheet.point_fields.items() if k in SLIPS.values()}
+    at_points = {name: np.append(values, values[~on]) for name, values in slid.items()}
+    if ANGLE in sheet.point_fields:
+        at_points[ANGLE] = angle(sheet.point_fields[ANGLE])
     return FormedSheet(
         both(sheet.points),
         np.vstack([sheet.triangles, number[sheet.triangles][:, ::-1]]),
         both(sheet.flat),
-        {name: angle(v) for name, v in sheet.point_fields.items() if name == ANGLE},
+        at_points,
         {name: np.append(v, sign * v) for name, v in sheet.cell_fields.items() if name == ANGLE},
         *(sheet.name, sheet.travel),
     )

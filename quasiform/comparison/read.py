@@ -30,7 +30,7 @@ from ..net.blank import rotation
 from ..result.record import Record, Sheets, series, sheet_files
 from ..result.sheet import KINDS, FormedSheet, read_sheets, readable
 from ..tables import name_of, read_table
-from .mapping import ANGLE
+from .mapping import ANGLE, SLIPS
 
 if TYPE_CHECKING:
     from ..result.run import Result
@@ -250,6 +250,8 @@ def _understood(
     if values is not None:  # by triangle
         by_point = {ANGLE: sheet.at_nodes(values)}
         whole = {ANGLE: values} if np.isfinite(values).all() else {}
+    slid = {k: np.ravel(v) for k, v in sheet.point_fields.items() if k in SLIPS.values()}
+    by_point |= {name: reading.scale * np.abs(values) for name, values in slid.items()}
     return replace(sheet, point_fields=by_point, cell_fields=whole), tuple(notes)
 
 

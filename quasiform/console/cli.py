@@ -417,7 +417,7 @@ class Tests:
 
 @app.command
 def identify(
-    file: Annotated[File, about("CSV of one test, or TOML of several (see README).")],
+    file: Annotated[File, about("CSV of one test, or TOML of several tests of a fabric.")],
     /,
     *,
     tests: Tests = Tests(),
@@ -802,6 +802,7 @@ def _solve(model: qf.Model, solver: Solver, run: Mapping[str, Any] = MappingProx
 
     found = forecast.asked(model, options)
     lines = [terminal.describe(model), f"  expected time: {forecast.words(found)}"]
+    lines += [f"  warning: {words}" for words in forecast.limits(model, options)]
     if options["accuracy"]:
         lines.append("  and longer where --accuracy asks for a finer mesh than that")
     terminal.say(*lines)
@@ -827,7 +828,7 @@ def _run(
     unwritten = "cannot write to" in result.reason
     asked = (every or uncertain) and not unwritten
     more = sensitivity.save(result, every, uncertain, folder) if asked else []
-    lines = terminal.report(result, perf_counter() - clock, more)
+    lines = terminal.report(result, perf_counter() - clock, options["estimate"], more)
     if unwritten or (result.reason and result.states[-1].travel == 0):
         lines = lines.partition("\n")[0]  # there is no converged increment to report, or no room
     terminal.say(lines)

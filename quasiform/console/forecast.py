@@ -16,6 +16,7 @@ import numpy as np
 
 from ..checks import InputError
 from ..model import Model
+from ..scenes.forming import FINE as RESOLVES
 from ..solve import levels
 from ..solve.dependence import COARSER, FINER
 from ..solve.equilibrium import Equilibrium, NotConvergedError
@@ -83,10 +84,25 @@ def words(found: tuple[Mesh, ...] | None) -> str:
     seconds = sum(mesh.solves * mesh.seconds for mesh in found)
     sizes = " and ".join(f"{mesh.size:.3g}" for mesh in found)
     return (
-        f"about {duration(seconds)} on this machine as busy as it is now "
-        f"({duration(LEAST * seconds)} to {duration(MOST * seconds)}; buckling takes longest), "
-        f"meshes of {sizes} mm"
+        f"about {duration(seconds)} on this machine as busy as it is now, up to "
+        f"{duration(MOST * seconds)} where the sheet buckles; meshes: {sizes} mm"
     )
+
+
+def limits(model: Model, options: Mapping[str, Any]) -> list[str]:
+    """What will keep a run from a certificate, as far as it is known before."""
+    found, radius = [], model.coarsest / RESOLVES
+    if 0 < radius and model.size > 0.5 * radius * (1 + 1e-6):
+        found.append(
+            f"a mesh of {model.size:.3g} mm is too coarse for the smallest radius of the tools, "
+            f"{radius:.3g} mm, if the sheet bends over it: half of it is allowed"
+        )
+    given = options["increment"]
+    if given and model.frictions and given > model.increment * (1 + 1e-6):
+        found.append(
+            f"friction follows its path in increments of {model.increment:g} mm, not {given:g}"
+        )
+    return found
 
 
 def asked(model: Model, options: Mapping[str, Any]) -> tuple[Mesh, ...] | None:

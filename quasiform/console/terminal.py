@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from ..model import Model
     from ..result.run import Result
 
+LOOSE = 3.0  # %: a misfit beyond the scatter of good tests
+SHOWN = 3  # limits of trust in the terminal
 WIDE = 2.0  # degrees: an error of the shear angle that is pointed out
 SPREAD = (
     "force_N",
@@ -65,7 +67,7 @@ def notes(found: Iterable[str], general: Collection[str] = (), where: str = "") 
     """Notes of a hand-over; those that are true of every one are counted only."""
     lines = [f"  note: {note}" for note in found if note not in general]
     if general:
-        lines.append(f"  and {len(general)} notes true of every such export, in {where}")
+        lines.append(f"  {len(general)} notes that apply to every such export are in {where}")
     return lines
 
 
@@ -94,14 +96,25 @@ def describe(model: Model) -> str:
     )
 
 
-def report(result: Result, seconds: float, more: Sequence[tuple[str, str]] = ()) -> str:
-    """Key numbers of a run, with their errors and what they are worth; `more` follows them."""
+def report(
+    result: Result,
+    seconds: float,
+    estimate: bool | str = True,
+    more: Sequence[tuple[str, str]] = (),
+) -> str:
+    """Key numbers of a run, with their errors and what they are worth.
+
+    `estimate` is how the error was asked for: "coarse" in a draft; `more` are further rows.
+    """
     summary, travel = result.summary(), result.model.travel
     name = result.model.force_name
     numbers = _numbers(summary, "work of load" if name == "load_work_mJ" else "force", name)
-    rows = numbers | _errors(result, summary) | _worth(summary) | dict(more)
+    rows = numbers | _errors(result, summary, bool(estimate)) | _worth(summary)
+    rows |= dict(more)
+    if estimate == "coarse":
+        rows["draft"] = "a coarse mesh and long increments, which are not certified"
     rows["wall time"] = f"{summary['wall_s']:.1f} s"
-    rows["total time"] = f"{seconds:.1f} s, with error estimate and files"
+    rows["total time"] = f"{seconds:.1f} s, with {'error estimate and ' * bool(estimate)}files"
     reason = f": {summary['reason']}" if summary["reason"] else ""
     unit = " mm" if name == "force_N" else ""
     reached = f"{number(summary['reached_mm'])} of {number(travel)}{unit}"
@@ -154,11 +167,13 @@ def in_short(names: Iterable[str]) -> str:
     return "; ".join(words + ([f"{', '.join(keys)} of the fabric"] if keys else []))
 
 
-def _errors(result: Result, summary: Mapping[str, Any]) -> dict[str, str]:
+def _errors(result: Result, summary: Mapping[str, Any], asked: bool) -> dict[str, str]:
     rows = {}
     if not any(error is not None for error in summary["estimated_errors"].values()):
         why = "no coarser mesh of this scene came to the same end"
-        if result.reason or result.collapse:
+        if not asked:
+            why = "not asked for (--no-estimate)"
+        elif result.reason or result.collapse:
             why = "the run stopped early" if result.reason else "the sheet has collapsed"
         rows["error estimate"] = f"none: {why}"
     elif (summary["error_estimate"]["shear_angle_deg"] or 0.0) > WIDE:
@@ -194,7 +209,9 @@ def _worth(summary: Mapping[str, Any]) -> dict[str, str]:
         rows["path"] = f"followed at size {summary['path_size_mm']:g} mm"
     rows["converged"] = "yes" if summary["certificate"]["converged"] else "no"
     limits = [*summary["certificate"]["reasons"], *summary["trust"]]
-    rows["trust"] = f"limited: {'; '.join(limits)}" if limits else "no limit was found"
+    rows["trust"] = f"limited: {'; '.join(limits[:SHOWN])}" if limits else "no limit was found"
+    if more := len(limits) - SHOWN:
+        rows["trust"] += f"; and {more} more (summary.json)" * (more > 0)
     work = ", ".join(f"{times} at {mesh}" for mesh, times in summary["factorisations"].items())
     solver, increments = summary["solver"]["linear"], summary["increments"]
     rows["factorisations"] = f"{work} ({solver}), in {increments} increments"
@@ -239,10 +256,13 @@ def identified(found: Identification) -> str:
     if found.fitted is not None:
         first, third = found.fitted.stages
         lines.append(f"  first stage to {first:.1f} degrees, third from {third:.1f} degrees")
+        if misfit > LOOSE and found.campaign.method == "fit":
+            lines.append("  --method table follows the forces where the parameters do not")
     read = {notice for test in found.campaign.shear for notice in test.curve.notices}
     lines += [f"  note: {notice}" for notice in found.notices if notice not in read]
     rows = []
     for p in found.parameters:
         interval = f"{number(p.low)} to {number(p.high)}" if p.low == p.low else "-"
         rows.append((p.name, number(p.value, 5), p.unit, interval, p.state))
+    lines += [f"  warning: {notice}" for notice in sorted(read) if "not given, defaults" in notice]
     return "\n".join(["identified, with 95 % intervals", table(rows, 2), *lines])

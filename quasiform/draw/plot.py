@@ -146,7 +146,9 @@ def doubt_figure(run: Record) -> Figure:
     title = "limits of the shear angle, share of the area"
     look = {"frameon": False, "alignment": "left", "borderaxespad": 0}
     key.legend(handles=[*handles[::-1], trusted], loc="upper left", title=title, **look)
-    found = {"what to do": advice[::-1], "limits of the whole result": run.limits[:LIMITS_SHOWN]}
+    limits, more = run.limits[:LIMITS_SHOWN], len(run.limits) - LIMITS_SHOWN
+    limits += [f"and {more} more in summary.json"] * (more > 0)
+    found = {"what to do": advice[::-1], "limits of the whole result": limits}
     lines = []
     for heading, entries in found.items():
         lines += [f"{heading}:", *(textwrap.fill(f"– {e}", 58) for e in entries or ["none"]), ""]
@@ -187,12 +189,18 @@ def limits_of(run: Record) -> dict[str, tuple[str, str, str]]:
 
 def history_figure(run: Record) -> Figure:
     """Force, shear angle and, with mid-edges, draw-in over the travel."""
-    draw = [_draw_force_panel, _draw_shear_angles]
-    if run.summary.get("draw_in_mm"):
-        draw.append(_draw_draw_in)
+    panels = 3 if run.summary.get("draw_in_mm") else 2
+    shear, draw_in = [], []
+    for sheet in run.sheets:  # each is loaded once
+        shear.append((np.abs(sheet.shear_angle), sheet.flat_areas))
+        if panels == 3:
+            draw_in.append([edge.draw_in(sheet.points) for edge in _edges(run, sheet)])
     figure = new_figure(2.7)
-    for axes, panel in zip(figure.subplots(1, len(draw)), draw, strict=True):
-        panel(axes, run)
+    axes = figure.subplots(1, panels)
+    _draw_force_panel(axes[0], run)
+    _draw_shear_angles(axes[1], run, shear)
+    if panels == 3:
+        _draw_draw_in(axes[2], run, draw_in)
     figure.suptitle(_title(run), parse_math=False)
     return figure
 
@@ -653,7 +661,7 @@ def _draw_force_panel(axes: Axes, run: Record) -> None:
         u, _, f = known
         axes.plot(u, f, **THEORY, label="power balance,\ninextensible fibres")
     _, name, unit = words_of(run)
-    if run.summary["reason"]:
+    if run.summary["reason"] and travel[-1] < run.goal * (1 - 1e-9):
         label = f"stopped at {travel[-1]:.4g}{' mm' if unit == 'N' else ''}"
         axes.plot([], [], "X", color=STOP, markersize=6, label=label)
     _finish_panel(axes, run, travel[-1], force[-1], f"{name} in {unit}")
@@ -675,12 +683,14 @@ def scale_force(axes: Axes, force: FloatArray, sound: FloatArray) -> bool:
     return False
 
 
-def _draw_shear_angles(axes: Axes, run: Record) -> None:
-    """Largest shear angle over travel, and that at the centre or the 99th percentile."""
+def _draw_shear_angles(axes: Axes, run: Record, found: list[tuple[FloatArray, FloatArray]]) -> None:
+    """Largest shear angle over travel, and that at the centre or the 99th percentile.
+
+    `found` has |γ| and the flat areas of the triangles of each sheet.
+    """
     travel = np.array(run.sheets.travels)
-    found = [(np.abs(sheet.shear_angle), sheet.flat_areas) for sheet in run.sheets]
     largest = np.array([gamma.max() for gamma, _ in found])
-    axes.plot(travel, largest, "o-", **CURVE | {"markersize": 4}, mfc="white", label="largest")
+    axes.plot(travel, largest, "^-", **CURVE | {"markersize": 4}, label="largest")
     other, label = run.history.get("shear_angle_center_deg"), "centre"
     if other is None or len(other) != len(travel):
         other, label = [percentile(g, area, 0.99) for g, area in found], "99th percentile"
@@ -692,10 +702,9 @@ def _draw_shear_angles(axes: Axes, run: Record) -> None:
     _finish_panel(axes, run, travel[-1], largest[-1], "shear angle |γ| in °")
 
 
-def _draw_draw_in(axes: Axes, run: Record) -> None:
-    """Draw-in over travel: mean of the mid-edges and their range."""
+def _draw_draw_in(axes: Axes, run: Record, found: list[list[float]]) -> None:
+    """Draw-in over travel: mean of the mid-edges and their range, from those of each sheet."""
     travel = np.array(run.sheets.travels)
-    found = [[edge.draw_in(sheet.points) for edge in _edges(run, sheet)] for sheet in run.sheets]
     mean, low, high = (np.array(f(found, axis=1)) for f in (np.mean, np.min, np.max))
     axes.plot(travel, mean, "o-", **CURVE, label="mean of the edges")
     if (high - low).max() > max(0.1, 0.02 * np.abs(mean).max()):
@@ -706,7 +715,7 @@ def _draw_draw_in(axes: Axes, run: Record) -> None:
 
 def _finish_panel(axes: Axes, run: Record, travel: float, value: float, label: str) -> None:
     """Label a panel over the travel and mark where a stopped run ended."""
-    if run.summary["reason"]:
+    if run.summary["reason"] and travel < run.goal * (1 - 1e-9):
         axes.plot(travel, value, "X", color=STOP, markersize=6, zorder=3)
     name, _, unit = words_of(run)
     axes.set_xlim(0.0, 1.02 * run.goal)

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import scipy as sp  # its parts load when they are used
 
+from ..net.edges import disc
 from .measures import nodal
 from .outcome import Outcome
 
@@ -46,15 +47,35 @@ def judged(result: Outcome, coarser: Sequence[Outcome], finer: Outcome | None = 
     fields = [level.shear_angle_at(blank.nodes) for level in levels]
     fields[own] = nodal(blank, result.shear_angle)
     error = discretisation_error(fields, sizes, own, alone)[blank.triangles].mean(1)
-    return replace(
-        result,
-        estimate=estimate,
-        shear_angle_error=error,
-        force_errors=_force_errors(result, levels, estimate[result.model.force_name]),
-    )
+    along, force = _force_errors(result, levels), result.model.force_name
+    if len(levels) == 2 and not own:
+        for name, least in _differences(result, np.abs(fields[0] - fields[1])).items():
+            estimate[name] = max(estimate[name], least)
+        if along is not None:
+            estimate[force] = max(estimate[force], float(along[-1]))
+    if along is not None:
+        along[-1] = estimate[force]
+    return replace(result, estimate=estimate, shear_angle_error=error, force_errors=along)
 
 
-def _force_errors(result: Outcome, levels: Sequence[Outcome], end: float) -> FloatArray | None:
+def _differences(result: Outcome, nodes: FloatArray) -> dict[str, float]:
+    """Mean difference of the shear angle by quantity, degrees, from that at the nodes (n_nodes,).
+
+    Two meshes alone may agree by chance in a percentile or a mean: such a number is not better
+    than the shear angle that it is made of.
+    """
+    blank = result.blank
+    local, areas = nodes[blank.triangles].mean(1), blank.areas
+    inside = {f"area_{name}_deg": disc(blank, *at) for name, at in result.model.areas.items()}
+    inside |= dict.fromkeys(("shear_angle_deg", "shear_angle_mean_deg"), np.ones(len(areas), bool))
+    return {
+        name: float(areas[part] @ local[part] / areas[part].sum())
+        for name, part in inside.items()
+        if part.any()
+    }
+
+
+def _force_errors(result: Outcome, levels: Sequence[Outcome]) -> FloatArray | None:
     """(n_rows,) error of the force in each row of the history, N; None without a coarser path."""
     path = result.path or result
     along = [path, *(level for level in levels if level.model.size > path.model.size)]
@@ -68,9 +89,8 @@ def _force_errors(result: Outcome, levels: Sequence[Outcome], end: float) -> Flo
         forces.append(curve(np.clip(travel, at[0], at[-1])))
     error = discretisation_error(forces, [run.model.size for run in along])
     beside = np.pad(error, 1, mode="edge")
-    error = np.maximum.reduce([beside[:-2], error, beside[2:]])  # two curves may cross in a row
-    error[-1] = end
-    return error
+    wide = np.maximum.reduce([beside[:-2], error, beside[2:]])  # two curves may cross in a row
+    return np.where(np.asarray(travel) > 0, wide, error)  # at rest nothing has happened yet
 
 
 def _comparable(fine: Outcome, coarse: Outcome) -> bool:

@@ -13,6 +13,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
+from shutil import copyfile
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -279,7 +280,10 @@ class Record:
                 self.sheets[number].write(folder / name)
             ET.SubElement(series, "DataSet", timestep=f"{travel:.8g}", part="0", file=name)
         ET.ElementTree(collection).write(folder / "result.pvd", xml_declaration=True)
-        end.write(folder / "result.vtu")
+        if increments and since < len(self.sheets):  # the last one is the end
+            copyfile(folder / name, folder / "result.vtu")
+        else:
+            end.write(folder / "result.vtu")
 
 
 def _read_summary(path: Path) -> dict[str, Any]:

@@ -111,7 +111,10 @@ def forming(
         raise InputError(f"symmetry must be 'auto' or 'none', got {symmetry!r}")
     goal = file.travel if travel is None else float(check_number("travel", travel))
     if goal > file.travel:
-        raise InputError(f"travel must not exceed {file.travel:g} mm in this scene, got {goal:g}")
+        raise InputError(
+            f"travel must not exceed {file.travel:g} mm in this scene, got {goal:g}: "
+            f"--set travel={goal:g} makes another scene"
+        )
     if fabric.bending_warp == 0 or fabric.bending_weft == 0:
         raise InputError(
             "forming in space needs a bending stiffness: bending_warp or _weft is zero"

@@ -456,7 +456,8 @@ def load(name: str, overrides: Mapping[str, Any] | None = None) -> SceneFile:
     elif name.endswith(".toml"):
         place = Path(name)
     else:
-        raise InputError(f"unknown scene '{name}': {suggestion(name, built_in())}, or a .toml file")
+        known = suggestion(name, built_in())
+        raise InputError(f"unknown scene '{name}': {known} (or a .toml file)")
 
     def build(table: dict[str, Any]) -> SceneFile:
         return _scene(overridden(table, overrides or {}), place.parent, place.stem)

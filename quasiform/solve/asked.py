@@ -48,6 +48,8 @@ def solved(
     how = {name: options[name] for name in ("increment", "linear", "estimate")} | {"out": out}
     if seed := options.get("seed"):
         how |= {"perturbation": AMPLITUDE * model.sheets[0].fabric.thickness, "seed": seed}
+    if out:
+        out.more = bool(options["seeds"])
     if options["one_mesh"]:
         result = solve(model, callback, **how)
     else:
@@ -58,5 +60,6 @@ def solved(
         except KeyboardInterrupt:
             result = replace(result, reason="interrupted while perturbed starts were solved")
         if out:
+            out.more = False
             out.close(result)
     return result

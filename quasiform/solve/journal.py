@@ -1,8 +1,9 @@
 """The journal of a run: its folder is kept up to date, so that a killed run can be continued.
 
-After each increment the state of the run, with the states of its terms and the energy account, goes
-into `resume.npz`; after each row of the history the files of the result up to there are written
-too, with the status "stopped" and how to continue. Every file is made beside its place and then put
+After an increment the state of the run, with the states of its terms and the energy account, goes
+into `resume.npz`; after a row of the history the files of the result up to there are written
+too, with the status "stopped" and how to continue. Quick increments pass without a record, so that
+records take at most a tenth of the time of a run. Every file is made beside its place and then put
 there in one step, so that a run killed at any moment leaves readable ones. The first record takes
 the place of an older result; the end of the run replaces the last.
 
@@ -13,6 +14,7 @@ from __future__ import annotations
 
 import io
 import json
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, fields, replace
@@ -30,6 +32,8 @@ from ..result.files import FILES, RESUME, Claim, added, check_folder
 from ..result.run import Result, State
 from .run import Account, Run
 
+SHARE = 0.1  # of the time of a run, for its records
+SOON = 20.0  # s: what took less is drawn once, with its error
 UNREADABLE = OSError, LookupError, TypeError, ValueError, AttributeError, EOFError, BadZipFile
 
 
@@ -67,6 +71,8 @@ class Journal:
         self.recorded: dict[str, Any] = {}
         self.goal = ""  # what follows the travel, as a text
         self._rows = 0
+        self._due = 0.0  # when the next record is made, s
+        self.more = False  # whether a completed result is not the last one: perturbed starts follow
         if resume:
             self._read()
         else:
@@ -118,10 +124,14 @@ class Journal:
 
     def record(self, run: Run, step: float, elapsed: float) -> str:
         """Write a run, with the size of its next increment, mm; the reason why it cannot be."""
+        began = time.perf_counter()
+        pending = len(run.states) > self._rows  # rows are written where the run stands at one
+        if self._rows and (began < self._due or (pending and run.states[-1].travel != run.travel)):
+            return ""
         try:
             with added(self.folder, instead=() if self._rows else FILES) as staging:
                 (staging / RESUME).write_bytes(self._checkpoint(run, step, elapsed))
-                if len(run.states) > self._rows:
+                if pending:
                     how = "quasiform resume" if _recipe(run) else "solve(..., resume=True)"
                     reason = (
                         f"killed or still running after {run.travel:.4g} of "
@@ -131,6 +141,8 @@ class Journal:
                     self._rows = len(run.states)
         except OSError as error:
             return self._unwritable(error)
+        ended = time.perf_counter()
+        self._due = ended + (ended - began) / SHARE
         return ""
 
     def _unwritable(self, error: OSError) -> str:
@@ -203,13 +215,16 @@ class Journal:
         self._rows = len(run.states)
         return recorded["step"], recorded["elapsed"]
 
-    def keep(self, result: Result) -> None:
-        """Write a result whose error is not estimated yet; `quasiform resume` estimates it."""
+    def keep(self, result: Result, drawn: bool = False) -> None:
+        """Write a result whose error is not estimated yet; `quasiform resume` estimates it.
+
+        It is drawn too where it took long, or where that is asked for.
+        """
         try:
             with added(self.folder, instead=() if self._rows else FILES) as staging:
                 result.write(staging, since=max(self._rows - 1, 0))  # those before are there
             self._rows = len(result.states)
-            if result.model.outputs["pictures"]:
+            if result.model.outputs["pictures"] and (drawn or result.wall_s > SOON):
                 with added(self.folder) as staging:
                     result.draw(staging)
         except OSError as error:
@@ -219,11 +234,11 @@ class Journal:
 
     def close(self, result: Result) -> None:
         """Write the result; where that cannot be done, this becomes its `reason`."""
-        self.keep(result)
-        if not result.reason:
+        self.keep(result, drawn=True)
+        if not result.reason and not self.more:
             with suppress(OSError):
                 (self.folder / RESUME).unlink(missing_ok=True)
-        if self._own:
+        if self._own and not self.more:
             self._own.release()
 
 

@@ -6,6 +6,7 @@
     python -m validation.speed --reductions               reductions.md
     python -m validation.speed --scale                    scale.md: the hemisphere on fine meshes
     python -m validation.speed --iterations               iterations.md: what factorisations are for
+    python -m validation.speed --bought                   a second, a minute, an hour: a picture
 
 Rows of rows.csv with the same sources of the package are not computed again. The error is relative
 to a solution two levels finer than the finest mesh of the chart. Work is processor time, and linear
@@ -24,7 +25,7 @@ from pathlib import Path
 import numpy as np
 
 from ..tables import markdown_table
-from . import chart, cost, iterations, reductions, scale
+from . import bought, chart, cost, iterations, reductions, scale
 from .rows import GAIN, REFERENCE, Row, expected_seconds, judged, pareto, read, write
 from .runs import PROBLEMS, STRATEGIES, Plan, plans, run, sources
 
@@ -47,6 +48,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--scale", action="store_true", help="time and memory of large meshes")
     parser.add_argument("--iterations", action="store_true", help="what factorisations are for")
     parser.add_argument("--cost", action="store_true", help="time of one Newton iteration")
+    parser.add_argument("--bought", action="store_true", help="a second, a minute and an hour")
     given = parser.parse_args(argv)
     given.out.mkdir(parents=True, exist_ok=True)
     if given.reductions:
@@ -58,6 +60,8 @@ def main(argv: list[str] | None = None) -> int:
         _save(iterations.table(path, given.scenes or ()), path)
     elif given.cost:
         _save(cost.table(), given.out / "cost.md")
+    elif given.bought:
+        _save(bought.table(given.out), given.out / bought.TABLE)
     else:
         path = given.out / "rows.csv"
         rows = read(path) if given.draw else _compute(given, path)
