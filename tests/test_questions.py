@@ -20,6 +20,7 @@ from quasiform.solve.scatter import AMPLITUDE
 from quasiform.studies import fields, indices, optimise, plan, robust, trim
 from quasiform.studies.run import outcome
 from quasiform.toml_file import toml_text
+from tests import study_cases
 from validation.stability.scenes import flat_strip
 
 STRIP = {"kind": "oat", "size": 40.0, "outputs": ["force_N"]}
@@ -328,6 +329,15 @@ def test_refused_before_the_first_run(message, tmp_path, capsys):
     assert message in said
     assert said.count("\n") == 1
     assert not (tmp_path / "out").exists()
+
+
+def test_a_function_has_no_trim_line_and_may_have_a_start():
+    two = {"outputs": ["force_N"], "vary": {"start": [1.0, 2.0]}}
+    assert [job.values["start"] for job in plan(two, study_cases.begun).jobs] == [1.0, 2.0]
+    with pytest.raises(qf.InputError, match="start is what starts = 3 varies"):
+        plan(two | {"robust": {"starts": 3}}, study_cases.begun)
+    with pytest.raises(qf.InputError, match="needs a scene, not a function"):
+        plan({"trim": {"line": "line.csv"}}, study_cases.begun)
 
 
 # Pictures of a table

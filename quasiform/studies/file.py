@@ -13,6 +13,7 @@ from ..schema import OPEN, checked, number, validated
 from ..toml_file import read_toml, without_format
 from .design import DESIGNS, MOST, SAMPLED, Range, Values, varied
 from .questions import QUESTIONS, Optimise, Robust, Sobol, Trim
+from .run import START
 
 OUTPUTS = ["force_N", "shear_angle_deg.p99"]  # where none are named
 OF_A_SCENE = ("orientation", "travel", "symmetry")
@@ -86,6 +87,8 @@ class Study(Run):
             raise InputError("outputs missing")
         if self.trim and self.kind != "form":
             raise InputError("[trim] needs a scene")
+        if START in self.values and self.robust and self.robust.starts:
+            raise InputError(f"[vary] {START} is what starts = {self.robust.starts} varies")
         if self.optimise:
             for name, key in self.values.items():
                 if not isinstance(key, Range) or key.std is not None:
@@ -147,6 +150,8 @@ def _study(table: dict[str, Any], stem: str, case: Callable | None, folder: Path
         raise InputError(f"name must be that of a folder, got {study.name!r}")
     if case is None and study.kind == "form" and study.scene is None:
         raise InputError("scene missing: a built-in one, a .toml file, or kind = 'oat'")
+    if case is not None and study.trim:
+        raise InputError("[trim] needs a scene, not a function")
     if case is not None and (study.scene is not None or study.solving):
         key = "scene" if study.scene is not None else next(iter(study.solving))
         raise InputError(f"{key} does not go with a function, which says it itself")

@@ -104,7 +104,7 @@ def plan(source: str | Path | Mapping[str, Any], case: Case | None = None) -> Pl
         luggage = _Luggage()
         kind = _function if case else _scene if study.kind == "form" else _strip
         describe = partial(kind, case or study, folder, luggage)
-        described = partial(_job, study.fixed, describe, {"environment": environment()})
+        described = partial(_job, study, describe, {"environment": environment()})
         jobs = [described(entry) for entry in values]
         if all(job.error for job in jobs):
             raise InputError(jobs[0].error)
@@ -127,19 +127,19 @@ def _values(study: study_file.Study) -> list[dict[str, Any]]:
 
 
 def _job(
-    fixed: Mapping[str, Any],
+    study: study_file.Study,
     describe: Callable[[dict[str, Any]], dict[str, Any]],
     here: dict[str, Any],
     values: dict[str, Any],
 ) -> Job:
     """Describe a run, or say why it is impossible."""
-    own = {**fixed, **values}
-    start = own.pop(START, 0)
-    here = here | ({START: start} if start else {})
+    own = {**study.fixed, **values}
+    if study.robust and study.robust.starts and (start := own.pop(START)):
+        here = here | {START: start}
     try:
         description, error = describe(own) | here, ""
     except InputError as wrong:
-        description, error = {"values": {**fixed, **values}}, str(wrong)
+        description, error = {"values": {**study.fixed, **values}}, str(wrong)
     text = json.dumps(description, sort_keys=True, default=str)
     return Job(values, sha256(text.encode()).hexdigest()[:12], description, error)
 
