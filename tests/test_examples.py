@@ -57,9 +57,9 @@ def test_own_energy():
 
 @pytest.mark.parametrize("scene", ["hemisphere", "tetrahedron"])
 def test_studies_of_the_surrogate(scene):
-    """Six keys and 1000 runs each, of a mesh of 8 mm."""
+    """Six keys and 1024 runs each, of a mesh of 8 mm."""
     table = tomllib.loads((EXAMPLES / "surrogate" / f"{scene}.toml").read_text(encoding="utf-8"))
-    assert table["runs"] == 1000
+    assert table["runs"] == 1024
     planned = plan(table | {"runs": 8})
     assert len(planned.keys) == 6
     assert planned.first[0].size == 8.0
