@@ -264,8 +264,11 @@ def test_the_report_leads_with_agreement_with_measurement():
     assert headline([case]).replace("\u00a0", " ") == (
         "3 numbers were compared with measurements, in 1 case: 2 of them differ by at most 10 %, "
         "half of them by at most 5 %, the worst by a factor of 5.7. "
-        "1 measured values are not published yet."
+        "1 more are not published yet."
     )
+    later = Case("study_forming", rows=(measured(3.0, None), measured(2.0, None)))
+    words = "3 more are not published yet: all those of study_forming."
+    assert headline([case, later]).endswith(words)
     text = report_page(about(quick=True, not_run=[]), [case], [])
     first, _ = text.split('<section id="verdict">')
     assert "<b>5.7 ×</b>" in first

@@ -11,7 +11,7 @@ from math import isfinite, log
 import numpy as np
 from matplotlib.figure import Figure
 
-from .bands import Case, Row
+from .bands import NO_REFERENCE, Case, Row
 
 SERIES = re.compile(r",?\s*(?:\bto u=|u=|at )[\d.]+(?: deg| 1/m| mm)?")  # one place of a curve
 WORDS = (
@@ -102,7 +102,7 @@ def by_case(rows: Sequence[Compared]) -> list[dict[str, str]]:
                 "case": case,
                 "numbers": str(len(ratios)),
                 f"within {100 * CLOSE:g} %": str(sum(x <= CLOSE for x in off)),
-                "half within": f"{100 * off[(len(off) - 1) // 2]:.0f} %",
+                "half of them within": f"{100 * off[(len(off) - 1) // 2]:.0f} %",
                 "computed over measured": f"{ratios[0]:.2f} to {ratios[-1]:.2f}",
             }
         )
@@ -112,17 +112,19 @@ def by_case(rows: Sequence[Compared]) -> list[dict[str, str]]:
 def headline(done: Sequence[Case]) -> str:
     """State the agreement with measurement in numbers."""
     rows = compared(done)
-    unpublished = sum(
-        row.reference.standing == "measured" and row.reference.value is None
-        for case in done
-        for row in case.rows
+    open_rows = {case.name: sum(row.state == NO_REFERENCE for row in case.rows) for case in done}
+    known = {row.case for row in rows}
+    alone = [name for name, count in open_rows.items() if count and name not in known]
+    more = (
+        f" {sum(open_rows.values())} more are not published yet" if any(open_rows.values()) else ""
     )
-    more = f" {unpublished} measured values are not published yet." if unpublished else ""
+    more += f": all those of {' and '.join(alone)}" if alone else ""
+    more += "." if more else ""
     if not rows:
         return f"No computed number could be compared with a measurement.{more}"
     off = sorted(abs(row.ratio - 1) for row in rows)
     close = sum(x <= CLOSE for x in off)
-    cases = len({row.case for row in rows})
+    cases = len(known)
     worst = max(rows, key=lambda row: row.away)
     return (
         f"{len(rows)} numbers were compared with measurements, in {cases} "

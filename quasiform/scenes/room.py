@@ -17,6 +17,7 @@ from .scene_file import SceneFile
 NEARLY = 0.05  # of the thickness: what a tool may differ from its mirror image
 EXACTLY = 0.001  # of the thickness: less is not reported
 FACETS = 0.02  # of a tool's area: what may be bent more sharply because of facets
+FACING = 0.2  # part of a normal towards the sheet, beyond which the surface faces it
 COST = 2.4  # power of 1/size in the time of an iteration, between 2.5 and 10 mm
 ACROSS = {"x": "across the warp", "y": "along the warp"}
 
@@ -121,20 +122,22 @@ def _off_mirror(tool: Tool, sides: Sequence[np.ndarray], travel: float, thicknes
 def smallest_radius(tool: Tool, from_files: Mapping[str, ToolFile]) -> float:
     """Smallest radius that a sheet bends over on a tool, mm; 0 if it is not known.
 
-    On a surface from a file that of all but a fiftieth of its area: facets are no fillets.
+    On a surface from a file that of all but a fiftieth of the area that faces the sheet: facets are
+    no fillets, and no sheet meets the far rim of a solid.
     """
     if tool.name not in from_files:
         return float(getattr(tool.shape, "sharpest", 0.0))
     read = from_files[tool.name]
-    corners = read.corners
-    middles, sides = corners.mean(1), np.diff(corners, axis=1)
+    middles, sides = read.corners.mean(1), np.diff(read.corners, axis=1)
     area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
     near = ((middles > read.grid.low) & (middles < read.grid.high)).all(1)
-    if not near.any():
+    _, normals, bends = read.grid.distance(middles[near])
+    faces = (-normals[:, 2] if read.down else normals[:, 2]) > FACING
+    if not faces.any():
         return 0.0
-    bend = np.linalg.eigvalsh(read.grid.distance(middles[near])[2])[:, -1]
+    bend, area = np.linalg.eigvalsh(bends[faces])[:, -1], area[near][faces]
     order = np.argsort(bend)
-    share = np.cumsum(area[near][order]) / area[near].sum()
+    share = np.cumsum(area[order]) / area.sum()
     sharp = bend[order][np.searchsorted(share, 1 - FACETS)]
     return float(1 / sharp) if sharp > 1e-6 else np.inf
 
