@@ -1,6 +1,7 @@
 """The examples run as they are, without a warning, and find what they are about."""
 
 import runpy
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 
 import quasiform as qf
 from quasiform.potential import Potential
+from quasiform.studies import plan
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 
@@ -51,6 +53,16 @@ def test_own_energy():
     bend = (term.gradient(x + h * dx) - term.gradient(x - h * dx)) / (2 * h)
     product = np.einsum("mij,mj->mi", term.hessian(x, None, False), along)
     np.testing.assert_allclose(product, bend, atol=1e-7)
+
+
+@pytest.mark.parametrize("scene", ["hemisphere", "tetrahedron"])
+def test_studies_of_the_surrogate(scene):
+    """Six keys and 1024 runs each, of a mesh of 8 mm."""
+    table = tomllib.loads((EXAMPLES / "surrogate" / f"{scene}.toml").read_text(encoding="utf-8"))
+    assert table["runs"] == 1024
+    planned = plan(table | {"runs": 8})
+    assert len(planned.keys) == 6
+    assert planned.first[0].size == 8.0
 
 
 def test_softening():

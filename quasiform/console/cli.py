@@ -209,6 +209,14 @@ def _override(text: str) -> tuple[str, Any]:
     return key, value
 
 
+def _uncertain(text: str) -> tuple[str, float]:
+    key, _, value = (part.strip() for part in text.partition("="))
+    with suppress(ValueError):
+        if key:
+            return key, check_number(key, float(value))
+    raise ValueError(f"expected KEY=VALUE such as fabric.friction=0.02, got '{text}'")
+
+
 def _share(text: str) -> tuple[int, int]:
     with suppress(ValueError):
         i, n = (int(number) for number in text.split("/"))
@@ -239,6 +247,7 @@ Columns = Annotated[
     dict[str, str], _pairs("quantity", "records", str, "NAME=WORD,... such as force=3")
 ]
 Overrides = Annotated[list[tuple[str, Any]], word(_override, "KEY=VALUE")]
+Uncertain = Annotated[list[tuple[str, float]], word(_uncertain, "KEY=VALUE")]
 Discs = Annotated[list[tuple[str, Any]], word(_disc, "NAME=X,Y,RADIUS")]
 MESH = Group("Mesh", validator=LimitedChoice())
 PRODUCT = Group("What to write", validator=LimitedChoice(1))
@@ -288,6 +297,10 @@ class Solver(Output):
     """Print the model and the expected time; solve and write nothing."""
     linear: Literal["auto", "pardiso", "superlu"] | None = None
     """Linear solver, for experts (auto)."""
+    sensitivity: bool = False
+    """Derivatives of the results by every parameter -> sensitivity.csv, .png."""
+    uncertain: Uncertain | None = None
+    """What a parameter is uncertain by, such as fabric.friction=0.02: the errors that follow."""
 
 
 @Parameter(name="*")
@@ -502,13 +515,18 @@ def study(
     planned = plan(file)
     folder = out or Path(planned.study.name)
     rows = store.read_rows(folder)
-    words = forecast.study(planned, store.pending(planned, rows, resume, share), rows)
+    jobs = store.part(planned.jobs, share)
+    words = forecast.study(planned, store.pending(planned, jobs, rows, resume), rows)
     if dry_run:
         terminal.say(words)
         return
     terminal.say(f"writing to {folder}", words)
-    table = qf.study(planned, workers or 1, scheduler, share, resume, folder, callback=StudyBar())
-    terminal.say(terminal.study(table), terminal.files(folder, store.FILES))
+    how = {"callback": StudyBar(), "pictures": True}
+    table = qf.study(planned, workers or 1, scheduler, share, resume, folder, **how)
+    answer = folder / store.ANSWER
+    lines = answer.read_text(encoding="utf-8").splitlines() if answer.exists() and not share else []
+    terminal.say(terminal.study(table), *(f"  {line}" for line in lines))
+    terminal.say(terminal.files(folder, store.FILES))
 
 
 @app.command
@@ -770,13 +788,16 @@ OPTIONS = ("increment", "accuracy", "linear", "seeds", "one_mesh", "estimate")
 def _solve(model: qf.Model, solver: Solver, run: Mapping[str, Any] = MappingProxyType({})) -> int:
     """Solve a model, or describe it; `run` is how its scene says that it is solved."""
     from ..solve.asked import asked
+    from . import sensitivity
 
     own = {"increment": solver.increment, "linear": solver.linear or "auto"}
     own |= {"estimate": not solver.no_estimate, "draft": solver.draft}
     model, options = asked(model, own | dict(run))
+    if uncertain := dict(solver.uncertain or ()):
+        sensitivity.check(model, uncertain)
     if not solver.dry_run:
         journal = qf.Journal(solver.claim(model.name), options, force=solver.force)
-        return _run(model, journal)
+        return _run(model, journal, solver.sensitivity, uncertain)
     from . import forecast
 
     found = forecast.asked(model, options)
@@ -788,10 +809,16 @@ def _solve(model: qf.Model, solver: Solver, run: Mapping[str, Any] = MappingProx
     return 0
 
 
-def _run(model: qf.Model, journal: qf.Journal) -> int:
+def _run(
+    model: qf.Model,
+    journal: qf.Journal,
+    every: bool = False,
+    uncertain: Mapping[str, float] = MappingProxyType({}),
+) -> int:
     """Solve a model and leave its files in the journal's folder."""
     from ..result.files import FILES, INCREMENTS, RESUME
     from ..solve.asked import solved
+    from . import sensitivity
     from .progress import LiveProgress
 
     folder, options, clock = journal.folder, journal.options, perf_counter()
@@ -799,7 +826,9 @@ def _run(model: qf.Model, journal: qf.Journal) -> int:
     with LiveProgress(model.travel) as callback:
         result = solved(model, options, callback, journal)
     unwritten = "cannot write to" in result.reason
-    lines = terminal.report(result, perf_counter() - clock, options["estimate"])
+    asked = (every or uncertain) and not unwritten
+    more = sensitivity.save(result, every, uncertain, folder) if asked else []
+    lines = terminal.report(result, perf_counter() - clock, options["estimate"], more)
     if unwritten or (result.reason and result.states[-1].travel == 0):
         lines = lines.partition("\n")[0]  # there is no converged increment to report, or no room
     terminal.say(lines)
@@ -807,8 +836,8 @@ def _run(model: qf.Model, journal: qf.Journal) -> int:
         return 3
     if (folder / RESUME).exists():
         terminal.say(f"continue with: quasiform resume {folder}")
-    more = f", {len(list(folder.glob(INCREMENTS)))} {INCREMENTS}"
-    terminal.say(terminal.files(folder, FILES) + more * bool(model.outputs["increments"]))
+    meshes = f", {len(list(folder.glob(INCREMENTS)))} {INCREMENTS}"
+    terminal.say(terminal.files(folder, FILES) + meshes * bool(model.outputs["increments"]))
     return 0 if result.status == "completed" else 3
 
 

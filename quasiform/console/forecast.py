@@ -116,6 +116,8 @@ def study(plan: Plan, jobs: Sequence[Job], rows: Mapping[str, Any]) -> str:
     impossible = sum(bool(job.error) for job in plan.jobs)
     text = f"{len(plan.jobs)} runs" + f", {impossible} of them impossible" * bool(impossible)
     text += f", {len(jobs)} to solve"
+    if (search := plan.study.optimise or plan.study.trim) is not None:
+        text += f" first, {search.runs} in all at most"
     if not jobs:
         return text
     taken = [row["cpu_s"] for row in rows.values() if row.get("cpu_s")]

@@ -96,15 +96,21 @@ def describe(model: Model) -> str:
     )
 
 
-def report(result: Result, seconds: float, estimate: bool | str = True) -> str:
+def report(
+    result: Result,
+    seconds: float,
+    estimate: bool | str = True,
+    more: Sequence[tuple[str, str]] = (),
+) -> str:
     """Key numbers of a run, with their errors and what they are worth.
 
-    `estimate` is how the error was asked for: "coarse" in a draft.
+    `estimate` is how the error was asked for: "coarse" in a draft; `more` are further rows.
     """
     summary, travel = result.summary(), result.model.travel
     name = result.model.force_name
     numbers = _numbers(summary, "work of load" if name == "load_work_mJ" else "force", name)
     rows = numbers | _errors(result, summary, bool(estimate)) | _worth(summary)
+    rows |= dict(more)
     if estimate == "coarse":
         rows["draft"] = "a coarse mesh and long increments, which are not certified"
     rows["wall time"] = f"{summary['wall_s']:.1f} s"

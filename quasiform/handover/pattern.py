@@ -125,7 +125,7 @@ def flat_pattern(
         notices.append(f"the die's opening is that of the scene '{Path(record.scene).name}'")
     else:
         lines = []
-        for curve in _curves(trim, scale):
+        for curve in curves(trim, scale):
             plan = shapely.Polygon(curve)
             if curve.shape[1] == 2 and (not plan.is_valid or not plan.area > 0):
                 words = "must enclose an area and not cross itself"
@@ -149,7 +149,7 @@ def _without_dxf() -> list[str]:
     return [NOTICES["no_dxf"]]
 
 
-def _curves(trim: Line, scale: float) -> list[FloatArray]:
+def curves(trim: Line, scale: float) -> list[FloatArray]:
     """Lines (k, 2) or (k, 3), mm, first point not repeated."""
     where = ""
     if isinstance(trim, str | Path):

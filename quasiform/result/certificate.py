@@ -115,7 +115,7 @@ def certify(result: Outcome) -> Certificate:
         f"a perturbed start found a state with {result.lower:.3g} mJ less": (
             result.lower > LOWER * abs(result.energy)
         ),
-        WRINKLED: not result.spread and _wrinkled(result),
+        WRINKLED: not result.spread and wrinkled(result),
     }
     checks = {"stopped early": bool(result.reason)} | unsolved | doubtful
     reasons = tuple(words for words, so in checks.items() if so)
@@ -126,7 +126,7 @@ def _lifted(result: Outcome) -> bool:
     return result.flange_lift > LIFTED * result.model.sheet.fabric.thickness
 
 
-def _wrinkled(result: Outcome) -> bool:
+def wrinkled(result: Outcome) -> bool:
     """Whether the flange is lifted and waves; on a coarse mesh it lifts beside a fillet too.
 
     Or whether a sheet without contact has buckled.

@@ -50,7 +50,8 @@ def judged(result: Outcome, coarser: Sequence[Outcome], finer: Outcome | None = 
     along, force = _force_errors(result, levels), result.model.force_name
     if len(levels) == 2 and not own:
         for name, least in _differences(result, np.abs(fields[0] - fields[1])).items():
-            estimate[name] = max(estimate[name], least)
+            if name in estimate:  # not that of an area that is not sheared
+                estimate[name] = max(estimate[name], least)
         if along is not None:
             estimate[force] = max(estimate[force], float(along[-1]))
     if along is not None:

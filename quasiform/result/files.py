@@ -19,7 +19,8 @@ RESUME = "resume.npz"
 PICTURES = ("shear_angle.png", "history.png", "doubt.png")
 SCENE = "scene.toml"
 TABLES = ("summary.json", SCENE, "history.csv", "outline.csv")
-FILES = (*TABLES, "result.vtu", "result.pvd", *PICTURES, "gaps.png", RESUME)
+SENSITIVITY = ("sensitivity.csv", "sensitivity.png")
+FILES = (*TABLES, "result.vtu", "result.pvd", *PICTURES, "gaps.png", *SENSITIVITY, RESUME)
 
 
 class Claim:

@@ -165,13 +165,17 @@ class Result(Outcome):
             raise InputError("no sensitivities: this result holds no increments")
         return run.track.sensitivity(run, parameters, outputs)
 
-    def parameter_errors(self, given: Mapping[str, float]) -> dict[str, dict[str, float | None]]:
+    def parameter_errors(
+        self, given: Mapping[str, float], found: Any = None
+    ) -> dict[str, dict[str, float | None]]:
         """What is known of the error of each of the `quantities`: of the mesh, and by parameters.
 
         Parameters
         ----------
         given : dict of parameter to float
             What each is uncertain by (a standard deviation, say), in its own unit.
+        found : solve.sensitivity.Sensitivity, optional
+            Of this run, where it is known already.
 
         Returns
         -------
@@ -184,12 +188,13 @@ class Result(Outcome):
         InputError
             As `sensitivity` does.
         """
-        found, parts = {}, self.sensitivity(given, self.quantities).errors(given)
+        parts = (found or self.sensitivity(given, self.quantities)).errors(given)
+        table = {}
         for name, value in self.quantities.items():
             mesh, by = self.estimate.get(name), parts[name]
             total = float(np.hypot.reduce([mesh or 0.0, *by.values()]))
-            found[name] = {"value": value, "mesh": mesh, **by, "total": total}
-        return found
+            table[name] = {"value": value, "mesh": mesh, **by, "total": total}
+        return table
 
     def judge(self, coarser: list[Result], finer: Result | None = None) -> None:
         """Estimate the error of the mesh from results on others, as `estimate.judged` does."""

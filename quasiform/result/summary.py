@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
@@ -13,6 +14,14 @@ from .certificate import Certificate, one_of_many, trust
 from .measures import chord_penetration, max_penetration, percentile, slip_account
 from .outcome import Outcome
 from .stability import local_waves
+
+ERRORS = {  # output: the same among the estimated errors
+    r"(force_N|load_work_mJ)": r"\1",
+    r"shear_angle_deg\.p99": "shear_angle_deg",
+    r"shear_angle_deg\.mean": "shear_angle_mean_deg",
+    r"areas\.(.*)": r"area_\1_deg",
+    r"draw_in_mm\.(.*)": r"draw_in_\1_mm",
+}
 
 
 def summarise(result: Outcome, certificate: Certificate) -> dict[str, Any]:
@@ -113,3 +122,17 @@ def package_version() -> str:
         return version("quasiform")
     except PackageNotFoundError:
         return "not installed"
+
+
+def error_column(output: str) -> str:
+    """Dotted name of the mesh error of a number of a summary; empty if there is none.
+
+    Examples
+    --------
+    >>> error_column("draw_in_mm.+x")
+    'estimated_errors.draw_in_+x_mm'
+    """
+    for pattern, error in ERRORS.items():
+        if match := re.fullmatch(pattern, output):
+            return f"estimated_errors.{match.expand(error)}"
+    return ""

@@ -12,7 +12,7 @@ from ..result.run import Result
 from .increments import Callback
 from .journal import Journal
 from .levels import refine, solve
-from .scatter import spread
+from .scatter import AMPLITUDE, spread
 
 DRAFT = 2.0  # times the size and the increments
 OPTIONS = {"increment": None, "accuracy": None, "linear": "auto", "seeds": None, "estimate": True}
@@ -41,8 +41,13 @@ def solved(
     callback: Callback | None = None,
     out: Journal | None = None,
 ) -> Result:
-    """Solve a model on one mesh or several, then perturbed starts where they are asked for."""
+    """Solve a model on one mesh or several, then perturbed starts where they are asked for.
+
+    With an option `seed` it is itself solved with the noise of a perturbed start.
+    """
     how = {name: options[name] for name in ("increment", "linear", "estimate")} | {"out": out}
+    if seed := options.get("seed"):
+        how |= {"perturbation": AMPLITUDE * model.sheets[0].fabric.thickness, "seed": seed}
     if out:
         out.more = bool(options["seeds"])
     if options["one_mesh"]:

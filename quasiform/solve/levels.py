@@ -119,6 +119,8 @@ def refine(
     linear: str = "auto",
     tolerance: float = 1e-4,
     estimate: bool = True,
+    perturbation: float = 0.0,
+    seed: int = 0,
     out: str | Path | Journal | None = None,
     resume: bool = False,
 ) -> Result:
@@ -131,7 +133,7 @@ def refine(
     accuracy : float, optional
         Halve the size until the estimated error of the 99th percentile of the shear angle is
         below it, degrees.
-    callback, increment, linear, tolerance, estimate, out, resume : optional
+    callback, increment, linear, tolerance, estimate, perturbation, seed, out, resume : optional
         As in `solve`, relative tolerance and increment in mm; the path is called back and recorded.
 
     Returns
@@ -152,7 +154,8 @@ def refine(
     if resume and (out is None or isinstance(out, Journal)):
         raise InputError("resume needs the folder of a run as `out`")
     clock = time.perf_counter()
-    settings = Settings(increment, linear=linear, tolerance=tolerance)
+    noise = {"perturbation": perturbation, "seed": seed}
+    settings = Settings(increment, linear=linear, tolerance=tolerance, **noise)
     journal = out if isinstance(out, Journal) or out is None else Journal(out, resume=resume)
     clock -= journal.recorded.get("elapsed", 0.0) if journal else 0.0
     result = _refined(model, callback, accuracy, settings, journal, estimate)

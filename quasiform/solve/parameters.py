@@ -20,6 +20,7 @@ from ..scenes.scene_file import SceneFile, changed, scene_toml
 NO_PARAMETER = "name", "format", "size", "travel", "areas", "increments", "outputs", "run", "law"
 BESIDE = "provenance", "shear_range"  # of a fabric: what no state depends on
 OF_THE_MESH = "blank.", "angle", "length", "width", "mesh", "displacement"  # only if asked for
+STEP = 3e-5  # relative to its value: by how much a parameter is changed for a derivative
 READ_ANEW = "tools.", "blank.", "fabric.thickness"
 
 
@@ -84,6 +85,11 @@ def named(known: Mapping[str, Parameter], name: str) -> Parameter:
     return found
 
 
+def check_smooth(model: Model, parameter: Parameter) -> None:
+    """Refuse (InputError) a parameter that changes the mesh, the supports or the travel."""
+    with_value(model, parameter.name, parameter.value * (1.0 + STEP))
+
+
 def with_value(model: Model, name: str, value: float) -> Model:
     """Build the model with another value of one number of its recipe.
 
@@ -103,7 +109,7 @@ def with_value(model: Model, name: str, value: float) -> Model:
     # what was read from files depends on these
     anew = name.startswith(READ_ANEW) and model.tools and model.tools[1]
     recipe = replace(model.recipe, given=tuple(sorted(given.items())))
-    other = recipe.build(like=None if anew else model)
+    other = recipe.build(model.size, like=None if anew else model)
     same = other.x0.shape == model.x0.shape and np.array_equal(other.fixed, model.fixed)
     pairs = zip(other.sheets, model.sheets, strict=True)
     same = same and all(np.array_equal(o.blank.nodes, m.blank.nodes) for o, m in pairs)

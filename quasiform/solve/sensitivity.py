@@ -26,12 +26,12 @@ from ..checks import InputError, suggestion
 from ..model import Model
 from ..potential import Memory, Potential
 from ..result.certificate import certify, one_of_many
+from ..result.measures import LIFTED
 from ..result.outcome import Outcome
 from ..unknowns import FloatArray, IntArray
 from .linear import linear_solver, mirrored
-from .parameters import Parameter, named, parameters, with_value
+from .parameters import STEP, Parameter, named, parameters, with_value
 
-STEP = 3e-5  # h relative to the value of a parameter
 LEFT = 1e-4  # of the first step of a neighbour: after a shorter one nothing is evaluated anew
 MOST = 4  # steps of a neighbour in an increment
 ROUND_OFF = 1e-12  # mm, of unknowns
@@ -133,7 +133,8 @@ class Track:
         if result.snaps:
             at = f"{result.snaps[0]['to_mm']:.4g} mm"
             return f"the sheet jumped to another state near {at}: there the path has no derivative"
-        if result.rescues.get("saddle left"):
+        apart = result.parted > LIFTED * result.model.sheets[0].fabric.thickness
+        if result.rescues.get("saddle left") and apart:
             words = f"the sheet became unstable and buckled away, by {result.parted:.2g} mm"
             return f"{words}: there the path has no derivative"
         if result.stabilisation:

@@ -142,6 +142,20 @@ def rows(
     return [dict(zip(keys, values, strict=True)) for values in together]
 
 
+def saltelli(keys: Mapping[str, Values | Range], points: int, seed: int) -> list[dict[str, Any]]:
+    """Return the values of groups of runs: A, B, and A with one key from B after the other.
+
+    More points start with the same groups.
+    """
+    d, found = len(keys), []
+    for point in _points("sobol", 2 * d, points, seed).tolist():
+        halves = point[:d], point[d:]
+        A, B = ([k.at(u) for k, u in zip(keys.values(), half, strict=True)] for half in halves)
+        mixed = [[*A[:i], B[i], *A[i + 1 :]] for i in range(d)]
+        found += [dict(zip(keys, values, strict=True)) for values in (A, B, *mixed)]
+    return found
+
+
 def _points(design: str, dimensions: int, runs: int, seed: int) -> np.ndarray:
     """(runs, dimensions) points of the unit cube; more Sobol' points start with the same ones."""
     from scipy.stats import qmc

@@ -71,6 +71,16 @@ def collect(folder: Path, runs: Sequence[str]) -> None:
     (folder / "fields").rmdir()
 
 
+def read(folder: Path, run: str) -> dict[str, np.ndarray]:
+    """Points, flat points and triangles of a run, from its own file or that of all."""
+    names = "points", "flat", "triangles"
+    if (path := folder / "fields" / f"{run}.npz").exists():
+        with np.load(path) as arrays:
+            return {name: arrays[name] for name in names}
+    with needed().File(folder / STORE) as file:
+        return {name: file[f"{run}/{name}"][:] for name in names}
+
+
 def manifest(
     paths: Sequence[Path], name: str, table: Mapping[str, Sequence[Any]], outputs: Sequence[str]
 ) -> str:

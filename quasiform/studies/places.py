@@ -1,6 +1,7 @@
 """Where the runs of a study are solved: worker processes of this machine, or a Dask cluster.
 
-Each place is a generator of (job, row, files) in the order in which runs finish.
+Each place is a generator of (job, row, files) in the order in which runs finish. It takes runs from
+a queue to which others may be added while it waits to be asked for the next one.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import os
 import signal
 import threading
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
@@ -84,24 +85,25 @@ class _Worker:
         self.pool.shutdown(wait=False, cancel_futures=True)
 
 
-def on_pool(jobs: Sequence[Job], plan: Plan, workers: int) -> Iterator[Finished]:
+def on_pool(jobs: deque[Job], plan: Plan, workers: int) -> Iterator[Finished]:
     """Solve runs in worker processes of this machine."""
     if getattr(multiprocessing.current_process(), "_inheriting", False):
         raise InputError(f"study(...) of a script goes under {MAIN}")
-    queue = deque((job, 1) for job in jobs)
+    again: deque[tuple[Job, int]] = deque()
     busy: dict[Future, tuple[_Worker, Job, int]] = {}
     with one_thread():
         idle = [_Worker(plan.files) for _ in range(min(workers, len(jobs)))]
         try:
-            while queue or busy:
-                while queue and idle:
-                    worker, (job, tries) = idle.pop(), queue.popleft()
-                    how = job.description, {}, plan.study.keep, plan.study.fields
+            while jobs or again or busy:
+                while (jobs or again) and idle:
+                    worker = idle.pop()
+                    job, tries = again.popleft() if again else (jobs.popleft(), 1)
+                    how = job.description, {}, *plan.study.leaves
                     with suppress(BrokenProcessPool):  # it died while it had nothing to do
                         busy[worker.pool.submit(outcome, *how)] = worker, job, tries
                         continue
                     idle.append(worker.replaced())
-                    queue.appendleft((job, tries))
+                    again.appendleft((job, tries))
                 for future in wait(busy, return_when=FIRST_COMPLETED).done:
                     worker, job, tries = busy.pop(future)
                     try:
@@ -110,7 +112,7 @@ def on_pool(jobs: Sequence[Job], plan: Plan, workers: int) -> Iterator[Finished]
                     except BrokenProcessPool:
                         idle.append(worker.replaced())
                         if tries < TRIES:
-                            queue.appendleft((job, tries + 1))
+                            again.appendleft((job, tries + 1))
                             continue
                         row, files = DIED, {}
                     yield job, row, files
@@ -121,7 +123,7 @@ def on_pool(jobs: Sequence[Job], plan: Plan, workers: int) -> Iterator[Finished]
                 worker.pool.shutdown()
 
 
-def on_dask(jobs: Sequence[Job], plan: Plan, scheduler: Any) -> Iterator[Finished]:
+def on_dask(jobs: deque[Job], plan: Plan, scheduler: Any) -> Iterator[Finished]:
     """Solve runs on a Dask cluster, by the address of its scheduler or a client of it.
 
     Dask repeats the runs of a worker that dies, and says when several have died with one.
@@ -136,32 +138,34 @@ def on_dask(jobs: Sequence[Job], plan: Plan, scheduler: Any) -> Iterator[Finishe
         _check_workers(client)
         files = client.submit(dict, plan.files, pure=False)  # made again if its worker dies
         solve = partial(client.submit, outcome, pure=False, retries=1)
-        settings = {"files": files, "keep": plan.study.keep, "fields": plan.study.fields}
-        queue, running, suspects = deque(jobs), {}, []
+        settings = {"files": files, **dict(zip(("keep", "fields"), plan.study.leaves, strict=True))}
+        running, suspects = {}, deque()
         finished = distributed.as_completed()
 
         def fill() -> None:
             most = AHEAD * max(sum(client.nthreads().values()), 4)
-            while queue and len(running) < most:
-                job = queue.popleft()
+            while jobs and len(running) < most:
+                job = jobs.popleft()
                 future = solve(job.description, **settings)
                 running[future.key] = job
                 finished.add(future)
 
-        fill()
-        for future in finished:
-            job = running.pop(future.key)
-            try:
-                yield job, *future.result()
-            except distributed.scheduler.KilledWorker:
-                suspects.append(job)
+        while jobs:
             fill()
-        for job in suspects:  # alone: those that waited on a worker that died are suspected too
-            try:
-                row, left = solve(job.description, **settings).result()
-            except distributed.scheduler.KilledWorker:
-                row, left = DIED, {}
-            yield job, row, left
+            for future in finished:
+                job = running.pop(future.key)
+                try:
+                    yield job, *future.result()
+                except distributed.scheduler.KilledWorker:
+                    suspects.append(job)
+                fill()
+            while suspects:  # alone: those that waited on a worker that died are suspected too
+                job = suspects.popleft()
+                try:
+                    row, left = solve(job.description, **settings).result()
+                except distributed.scheduler.KilledWorker:
+                    row, left = DIED, {}
+                yield job, row, left
     finally:
         if own:
             client.close()

@@ -16,7 +16,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from ..checks import InputError, check_keys, check_number, naming, suggestion
+from ..checks import InputError, check_keys, check_number, naming, optional, suggestion
 from ..fabric import Fabric, fabric_of
 from ..model import Model
 from ..recipe import Recipe
@@ -28,8 +28,9 @@ from ..schema import validated
 from ..toml_file import dotted_values
 from . import fields
 from . import file as study_file
-from .design import rows
-from .run import PLACE, environment, model_of, unpack
+from .design import rows, saltelli
+from .questions import Trim, target
+from .run import PLACE, START, environment, model_of, unpack
 
 Case = Callable[..., Recipe | Model]
 TRIED = 20  # runs, of which one at least must have a model
@@ -59,12 +60,20 @@ class Plan:
         That the runs read, by the names that their descriptions use.
     paths : dict of name to path
         Where those files came from.
+    described : callable
+        The run that has some values.
     """
 
     study: study_file.Study
     jobs: list[Job]
     files: dict[str, bytes]
     paths: dict[str, str]
+    described: Callable[[dict[str, Any]], Job]
+
+    @property
+    def keys(self) -> list[str]:
+        """Columns of the varied values."""
+        return list(self.jobs[0].values)
 
     @cached_property
     def first(self) -> tuple[Model, dict[str, Any]]:
@@ -91,30 +100,46 @@ def plan(source: str | Path | Mapping[str, Any], case: Case | None = None) -> Pl
     if study.fields:
         fields.needed()
     with naming(source if isinstance(source, str | Path) else study.name):
-        values = rows(study.design, study.vary, study.runs, study.seed)
+        values = _values(study)
         luggage = _Luggage()
         kind = _function if case else _scene if study.kind == "form" else _strip
         describe = partial(kind, case or study, folder, luggage)
-        here = {"environment": environment()}
-        jobs = [_job(entry, study.fixed, describe, here) for entry in values]
+        described = partial(_job, study, describe, {"environment": environment()})
+        jobs = [described(entry) for entry in values]
         if all(job.error for job in jobs):
             raise InputError(jobs[0].error)
-        found = Plan(study, jobs, luggage.files, luggage.paths)
-        _check_outputs(study.outputs, found.first[0])
+        found = Plan(study, jobs, luggage.files, luggage.paths, described)
+        _check_outputs(study.columns, found.first[0])
+        if study.trim:
+            _check_trim(study.trim, found.first[0])
     return found
 
 
+def _values(study: study_file.Study) -> list[dict[str, Any]]:
+    """Values of the keys by run; of an optimisation or a trim line, of the runs that come first."""
+    if study.sobol:
+        return saltelli(study.values, study.sobol.points, study.seed)
+    if study.optimise:
+        return rows("sobol", study.values, study.optimise.start, study.seed)
+    found = rows(study.design, study.values, study.runs, study.seed)
+    starts = (study.robust and study.robust.starts) or 0
+    return [{**entry, START: k} for entry in found for k in range(starts)] if starts else found
+
+
 def _job(
-    values: dict[str, Any],
-    fixed: Mapping[str, Any],
+    study: study_file.Study,
     describe: Callable[[dict[str, Any]], dict[str, Any]],
     here: dict[str, Any],
+    values: dict[str, Any],
 ) -> Job:
     """Describe a run, or say why it is impossible."""
+    own = {**study.fixed, **values}
+    if study.robust and study.robust.starts and (start := own.pop(START)):
+        here = here | {START: start}
     try:
-        description, error = describe({**fixed, **values}) | here, ""
+        description, error = describe(own) | here, ""
     except InputError as wrong:
-        description, error = {"values": {**fixed, **values}}, str(wrong)
+        description, error = {"values": {**study.fixed, **values}}, str(wrong)
     text = json.dumps(description, sort_keys=True, default=str)
     return Job(values, sha256(text.encode()).hexdigest()[:12], description, error)
 
@@ -222,6 +247,16 @@ def _function(
         given["file"] = replace(file, source="")  # where it was is no part of a run
     recipe = replace(recipe, given=tuple(given.items()))
     return {"recipe": luggage.packed(recipe.written(), [Path(name) for name in recipe.files()])}
+
+
+def _check_trim(trim: Trim, model: Model) -> None:
+    """Refuse a line that cannot be used, and a blank whose outline cannot change."""
+    from ..comparison.mapping import IGL
+
+    optional(*IGL)
+    target(trim)
+    if dict(model.recipe.given)["file"].blank is None:
+        raise InputError("[trim] needs a blank with an outline, not one with its own mesh")
 
 
 def _check_outputs(outputs: Sequence[str], model: Model) -> None:

@@ -23,12 +23,14 @@ import numpy as np
 from ..checks import InputError
 from ..model import Model
 from ..recipe import Recipe
+from ..result.certificate import wrinkled
 from ..result.run import Result
 from ..result.summary import package_version
 from ..solve.asked import asked, solved
 
 PLACE = "@files/"
 FIELDS = "fields.npz"
+START = "start"  # number of a perturbed start; 0: no noise
 LINEAR = "linear solver"
 TEXTS = (".json", ".toml")
 LONG = ("model", "parameters", "files", "assumed", "solver")  # of a summary: in the study already
@@ -84,7 +86,8 @@ def model_of(description: Mapping[str, Any]) -> tuple[Model, dict[str, Any]]:
         model, run = forming(file, size=description["size"]), file.run
     if run.get("linear", "auto") == "auto":
         run = {**run, "linear": description["environment"][LINEAR]}
-    return asked(model, run)
+    model, options = asked(model, run)
+    return model, options | {"seed": description.get(START)}
 
 
 def outcome(
@@ -102,7 +105,7 @@ def outcome(
     try:
         unpack(files)
         result = solved(*model_of(description))
-        row["summary"] = {k: v for k, v in result.summary().items() if k not in LONG}
+        row = _row(result)
         left = _files(result, keep, fields)
     except InputError as error:
         row = {"error": str(error)}
@@ -112,6 +115,19 @@ def outcome(
         row = {"error": " ".join(f"{type(error).__name__}: {error}".split())}
     row = json.loads(_portable(json.dumps(row).encode()))
     return row | {"cpu_s": round(time.thread_time() - clock, 3)}, left
+
+
+def _row(result: Result) -> dict[str, Any]:
+    """What the tables of a study need of a result."""
+    record = result.record
+    angle, travel = record.summary["shear_angle_deg"]["p99"], record.history[record.travel_name]
+    return {
+        "summary": {k: v for k, v in record.summary.items() if k not in LONG},
+        "energy_mJ": result.energy,
+        "wrinkled": wrinkled(result),
+        "locked": bool(record.locking and angle > record.locking),
+        "history": [travel.tolist(), record.forces.tolist()],
+    }
 
 
 def _portable(content: bytes) -> bytes:

@@ -9,14 +9,14 @@ from __future__ import annotations
 import csv
 import json
 import os
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from ..checks import InputError
 from ..result.files import Claim, added, writing_to
+from ..result.summary import error_column
 from ..toml_file import dotted_values
 from .fields import MANIFEST, STORE, collect, manifest
 from .plan import Job, Plan
@@ -24,14 +24,11 @@ from .run import FIELDS, PLACE, TEXTS
 
 ROWS = "rows.jsonl"
 TABLES = ("study.csv", "study.parquet")
-FILES = (*TABLES, STORE, MANIFEST, "runs", ROWS)
-ERRORS = {  # output: the same among the estimated errors
-    r"(force_N|load_work_mJ)": r"\1",
-    r"shear_angle_deg\.p99": "shear_angle_deg",
-    r"shear_angle_deg\.mean": "shear_angle_mean_deg",
-    r"areas\.(.*)": r"area_\1_deg",
-    r"draw_in_mm\.(.*)": r"draw_in_\1_mm",
-}
+ANSWER = "answer.txt"
+ANSWERS = (ANSWER, "sobol.csv", "robust.csv", "branches.csv", "trim.csv", "blank.csv", "blank.toml")
+PICTURES = [f"{n}.png" for n in "scatter force tornado sobol window optimise trim".split()]
+FILES = (*TABLES, *ANSWERS, *PICTURES, STORE, MANIFEST, "runs", ROWS)
+DPI = 200
 
 
 class Store:
@@ -66,21 +63,30 @@ class Store:
                 os.fsync(file.fileno())
         self.rows[row["run"]] = json.loads(content)
 
+    def write(self, files: Mapping[str, Any]) -> None:
+        """Write files by their names in place of older answers: texts, columns, figures."""
+        with writing_to(self.folder), added(self.folder, instead=(*ANSWERS, *PICTURES)) as staging:
+            for name, content in files.items():
+                path = staging / name
+                if isinstance(content, str):
+                    path.write_text(content, encoding="utf-8")
+                elif isinstance(content, Mapping):
+                    _csv(path, list(content), zip(*content.values(), strict=True))
+                else:
+                    content.savefig(path, dpi=DPI)
+
     def write_table(self, plan: Plan) -> dict[str, list[Any]]:
         """Write the table of the runs that are finished, and return it by columns."""
-        outputs = plan.study.outputs
+        outputs = plan.study.columns
         rows = [
             _row(job.id, job.values, outputs, row)
             for job in plan.jobs
             if (row := {"error": job.error} if job.error else self.rows.get(job.id))
         ]
-        names = list(_row("", dict.fromkeys(plan.study.vary), outputs, {}))
+        names = list(_row("", dict.fromkeys(plan.keys), outputs, {}))
         table = {name: [row[name] for row in rows] for name in names}
         with writing_to(self.folder), added(self.folder) as staging:
-            with (staging / TABLES[0]).open("w", newline="", encoding="utf-8") as file:
-                writer = csv.writer(file)
-                writer.writerow(names)
-                writer.writerows([_cell(value) for value in row.values()] for row in rows)
+            _csv(staging / TABLES[0], names, (row.values() for row in rows))
             _parquet(table, staging / TABLES[1])
             if plan.study.fields and self.path.name == ROWS:  # shares may end at the same time
                 collect(self.folder, table["run"])
@@ -103,20 +109,25 @@ def read_rows(folder: Path) -> dict[str, dict[str, Any]]:
     return rows
 
 
+def part(jobs: Sequence[Job], share: tuple[int, int] | None) -> Sequence[Job]:
+    """Every n-th run from number i on; all without a share."""
+    return jobs[share[0] - 1 :: share[1]] if share else jobs
+
+
 def pending(
     plan: Plan,
+    jobs: Sequence[Job],
     rows: Mapping[str, Mapping[str, Any]],
     resume: bool = False,
-    share: tuple[int, int] | None = None,
 ) -> list[Job]:
     """Runs that are still to do, each once; with `resume` those that failed too.
 
     So is a run whose result or fields were not kept, and shall be now.
     """
-    wanted = ["kept"] * plan.study.keep + ["fields"] * plan.study.fields
-    first, step = (share[0] - 1, share[1]) if share else (0, 1)
+    keep, fields = plan.study.leaves
+    wanted = ["kept"] * keep + ["fields"] * fields
     found: dict[str, Job] = {}
-    for job in plan.jobs[first::step]:
+    for job in jobs:
         row = rows.get(job.id)
         todo = row is None or (resume if "error" in row else not all(row[w] for w in wanted))
         if todo and not job.error:
@@ -139,10 +150,8 @@ def _row(
     known, trust = dotted_values(summary), summary.get("trust")
     found = {"run": name, **values} | {output: known.get(output) for output in outputs}
     for output in outputs:
-        for pattern, error in ERRORS.items():
-            if match := re.fullmatch(pattern, output):
-                column = f"estimated_errors.{match.expand(error)}"
-                found[column] = known.get(column)
+        if column := error_column(output):
+            found[column] = known.get(column)
     return found | {
         "status": "failed" if failed else summary.get("status"),
         "reason": row["error"] if failed else summary.get("reason"),
@@ -153,6 +162,13 @@ def _row(
         "factorisations": sum(summary["factorisations"].values()) if summary else None,
         "cpu_s": row.get("cpu_s"),
     }
+
+
+def _csv(path: Path, names: Sequence[str], rows: Iterable[Iterable[Any]]) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(names)
+        writer.writerows([_cell(value) for value in row] for row in rows)
 
 
 def _cell(value: Any) -> Any:

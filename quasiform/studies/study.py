@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from ..checks import InputError
-from .places import on_dask, on_pool
-from .plan import Case, Plan, plan
-from .store import Store, pending
+from . import fields, indices, optimise, robust
+from .answer import Answer, Row, Solve
+from .places import Finished, on_dask, on_pool
+from .plan import Case, Job, Plan, plan
+from .store import ANSWER, Store, part, pending
 
 
 @dataclass(frozen=True)
@@ -47,6 +51,7 @@ def study(
     out: str | Path | None = None,
     case: Case | None = None,
     callback: Callable[[StudyProgress], None] | None = None,
+    pictures: bool = False,
 ) -> dict[str, list[Any]]:
     """Solve many runs of a case, and return and write their table.
 
@@ -71,6 +76,8 @@ def study(
         In place of a scene: a function of the varied values that returns a recipe or a model.
     callback : callable, optional
         Called with a `StudyProgress` after each run.
+    pictures : bool
+        Draw pictures of the table, and of the answer to the question of the study.
 
     Returns
     -------
@@ -91,22 +98,98 @@ def study(
     if share is not None and scheduler is not None:
         raise InputError("a share is solved on one machine: give a share or a scheduler")
     planned = source if isinstance(source, Plan) else plan(source, case)
-    clock = time.perf_counter()
+    if share is not None and (planned.study.optimise or planned.study.trim):
+        raise InputError("a share does not go with [optimise] or [trim]: each run follows others")
     store = Store(Path(out or planned.study.name), share)
+    place = partial(on_pool, workers=workers)
+    if scheduler:
+        place = partial(on_dask, scheduler=scheduler)
     try:
-        jobs = pending(planned, store.rows, resume, share)
-        done = len(planned.jobs) - len(pending(planned, store.rows, resume))
-        place = on_dask(jobs, planned, scheduler) if scheduler else on_pool(jobs, planned, workers)
+        solving, found = _Solving(planned, store, place, resume, callback), Answer()
         try:
-            for solved, (job, row, files) in enumerate(place if jobs else (), 1):
-                store.add({"run": job.id, **row}, files, planned.paths)
-                counts = done + solved, len(planned.jobs), solved, len(jobs) - solved
-                if callback:
-                    elapsed = time.perf_counter() - clock
-                    callback(StudyProgress(*counts, elapsed, store.rows[job.id]))
+            if share is None:
+                found = _answer(planned, solving.rows, store)
+            else:
+                solving.rows(part(planned.jobs, share))
         finally:
-            place.close()
+            solving.end()
             table = store.write_table(planned)
+        if share is None:
+            text = {ANSWER: "\n".join([*found.lines, ""])} if found.lines else {}
+            drawn = _drawn(planned, table, store.rows, found) if pictures else {}
+            store.write(found.tables | text | drawn)
     finally:
         store.claim.release()
     return table
+
+
+def _drawn(
+    planned: Plan, table: dict[str, list[Any]], rows: Mapping[str, Row], found: Answer
+) -> dict[str, Any]:
+    """Pictures of the table and of the answer, by file name."""
+    from ..draw import studies as draw
+
+    of_runs = [rows.get(run, {}) for run in table["run"]]
+    keys, outputs, spread = planned.keys, planned.study.columns, not planned.study.optimise
+    figures = draw.figures(keys, outputs, table, of_runs, spread)
+    of_answer = {
+        name: getattr(draw, f"{kind}_figure")(*args)
+        for name, (kind, args) in found.pictures.items()
+    }
+    return figures | of_answer
+
+
+def _answer(planned: Plan, solve: Solve, store: Store) -> Answer:
+    """Solve all runs, and those that the question asks for."""
+    study, left = planned.study, partial(fields.read, store.folder)
+    if study.sobol:
+        return indices.answer(planned, solve)
+    if study.robust:
+        return robust.answer(planned, solve, left)
+    if study.optimise:
+        return optimise.answer(planned, solve)
+    if study.trim:
+        from . import trim  # libigl
+
+        return trim.answer(planned, solve, left)
+    solve(planned.jobs)
+    return Answer()
+
+
+class _Solving:
+    """Runs that are solved where they are not in the store yet."""
+
+    def __init__(
+        self,
+        plan: Plan,
+        store: Store,
+        place: Callable[[deque[Job], Plan], Iterator[Finished]],
+        resume: bool,
+        callback: Callable[[StudyProgress], None] | None,
+    ) -> None:
+        self.plan, self.store, self.resume, self.callback = plan, store, resume, callback
+        self.queue, self.solved, self.clock = deque[Job](), set[str](), time.perf_counter()
+        self.finished = place(self.queue, plan)
+
+    def rows(self, jobs: Sequence[Job]) -> list[dict[str, Any]]:
+        """Return the rows of some runs in their order."""
+        known, count = self.store.rows, len(self.solved)
+        new = pending(self.plan, jobs, known, self.resume)
+        left = {job.id for job in new if job.id not in self.solved}
+        self.queue.extend(job for job in new if job.id in left)
+        done = len(self.plan.jobs) - len(pending(self.plan, self.plan.jobs, known, self.resume))
+        while left:
+            job, row, files = next(self.finished)
+            left.remove(job.id)
+            self.solved.add(job.id)
+            self.store.add({"run": job.id, **row}, files, self.plan.paths)
+            solved = len(self.solved) - count
+            if self.callback:
+                counts = done + solved, len(self.plan.jobs), solved, len(left)
+                elapsed = time.perf_counter() - self.clock
+                self.callback(StudyProgress(*counts, elapsed, known[job.id]))
+        return [{"error": job.error} if job.error else known[job.id] for job in jobs]
+
+    def end(self) -> None:
+        """End the worker processes."""
+        self.finished.close()
