@@ -26,7 +26,6 @@ from ..checks import InputError, suggestion
 from ..model import Model
 from ..potential import Memory, Potential
 from ..result.certificate import certify, one_of_many
-from ..result.measures import LIFTED
 from ..result.outcome import Outcome
 from ..unknowns import FloatArray, IntArray
 from .linear import linear_solver, mirrored
@@ -133,8 +132,7 @@ class Track:
         if result.snaps:
             at = f"{result.snaps[0]['to_mm']:.4g} mm"
             return f"the sheet jumped to another state near {at}: there the path has no derivative"
-        apart = result.parted > LIFTED * result.model.sheets[0].fabric.thickness
-        if result.rescues.get("saddle left") and apart:
+        if result.rescues.get("saddle left"):
             words = f"the sheet became unstable and buckled away, by {result.parted:.2g} mm"
             return f"{words}: there the path has no derivative"
         if result.stabilisation:
