@@ -12,12 +12,17 @@ With the mean thickness t and the side s = 1 of a node above the other ply, -1 o
 
     E = Σ w φ(p),   p = t - s [n·(x - y) - h],   w half the area of the node,
 
-with the compaction law φ of the tools (`contact`). Friction is that of the tools (`friction`), with
-the tangential distance between x and the material point y with which it was paired at the last
-commit. Triangle, b, n and h are lagged: `refresh` finds them, so that energy, gradient and Hessian
-are exact for fixed pairs. The force on x is divided among the corners of the triangle by b: the
-forces of both plies are equal and opposite. They act on the mean surfaces; the moment of friction
-by half a thickness is left out, as it is for tools.
+with the compaction law φ of the tools (`contact`). Triangle, b, n and h are lagged: `refresh` finds
+them, so that energy, gradient and Hessian are exact for fixed pairs. The force on x is divided
+among the corners of the triangle by b: the forces of both plies are equal and opposite.
+
+Friction is that of the tools (`friction`). What slides is
+
+    x - y - s t N,
+
+y the material point with which x was paired at the last commit and N the normal of its triangle,
+which is not lagged: plies that turn together do not slide, and friction, which acts half a
+thickness off the mean surfaces, also turns them.
 """
 
 from __future__ import annotations
@@ -27,18 +32,22 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from ..checks import InputError
 from ..net.transfer import interpolated
 from ..unknowns import FloatArray, IntArray, Sheet
+from .bending import second_derivative, skew
 from .contact import BLEND, Acting, AtPoints, compaction_law
 from .friction import STICK, Friction, Rubbing
 from .term import Standing, Term, frozen, same
 
 NEAREST = 12  # triangles, by their centroids, among which that under a point is looked for
+MARGIN = 0.03  # how far b may be negative before a node leaves its triangle
+SMOOTHED = 3  # averages of the normals from which h is taken: a zigzag of the nodes has none
 PASSES = 3  # of the search for the foot of the normal
-OUTSIDE = 1e-6  # how far b may be negative
+OUTSIDE = 0.05  # how far b may be negative, so that the rims of equal outlines meet
 DEEP = 3.0  # of the mean thickness: what is farther on the wrong side is on another fold
 
 
@@ -46,6 +55,7 @@ DEEP = 3.0  # of the mean thickness: what is farther on the wrong side is on ano
 class Pairs:
     """Where each of m nodes of a ply meets the other ply."""
 
+    triangles: IntArray  # (m,) of the other ply
     dofs: IntArray  # (m, 12) numbers in x of the node, then of the corners of its triangle
     weights: FloatArray  # (m, 3) b
     normal: FloatArray  # (m, 3) n
@@ -71,23 +81,30 @@ class AtPairs(AtPoints):
     def stencils(self, state: Any) -> IntArray:
         return state.dofs
 
-    def _shares(self, state: Any, rows: IntArray) -> FloatArray:
-        """(r, 4) by which x - y is made of the nodes."""
-        return np.column_stack([np.ones(len(rows)), -state.weights[rows]])
+    def slopes(self, x: FloatArray, state: Any, rows: IntArray) -> FloatArray:
+        """(r, 3, 12) derivatives of x - y by the nodes."""
+        shares = np.column_stack([np.ones(len(rows)), -state.weights[rows]])
+        return (shares[:, None, :, None] * np.eye(3)[:, None]).reshape(-1, 3, 12)
+
+    def curved(self, x: FloatArray, state: Any, here: Acting) -> FloatArray | float:
+        """(r, 12, 12) force times the second derivatives of what it acts on."""
+        return 0.0
 
     def gradient(self, x: FloatArray, state: Any) -> FloatArray:
         gradient, here = np.zeros(state.dofs.shape), self.acting(x, state)
-        local = self._shares(state, here.rows)[:, :, None] * here.force[:, None]
-        gradient[here.rows] = local.reshape(-1, 12)
+        J = self.slopes(x, state, here.rows)
+        gradient[here.rows] = (here.force[:, None] @ J)[:, 0]
         return gradient
 
     def hessian(
         self, x: FloatArray, state: Any, convex: bool, rows: IntArray | None = None
     ) -> FloatArray:
-        """It is positive semi-definite."""
+        """With `convex` without the curvature of what slides."""
         here = self.acting(x, state)
-        c = self._shares(state, here.rows)
-        local = np.einsum("ri,rj,rab->riajb", c, c, here.stiffness).reshape(-1, 12, 12)
+        J = self.slopes(x, state, here.rows)
+        local = J.transpose(0, 2, 1) @ (here.stiffness @ J)
+        if not convex:
+            local += self.curved(x, state, here)
         if rows is here.rows:
             return local
         H = np.zeros((len(state.dofs), 12, 12))
@@ -115,7 +132,8 @@ class PlyContact(AtPairs):
         self.blend, self.area = BLEND * self.reach, 0.5 * sheet.blank.node_areas
         corners = other.blank.triangles[np.zeros(len(sheet.dofs), dtype=int)]
         self.dofs = self._table(corners)
-        self._last: tuple[FloatArray, Pairs] | None = None
+        self._smooth = _averages(other)
+        self._last: tuple[FloatArray, IntArray | None, Pairs] | None = None
 
     @property
     def places(self) -> FloatArray:
@@ -125,44 +143,54 @@ class PlyContact(AtPairs):
     def _table(self, corners: IntArray) -> IntArray:
         return np.column_stack([self.sheet.dofs, self.other.dofs[corners].reshape(-1, 9)])
 
-    def pairs(self, x: FloatArray) -> Pairs:
-        """Pairs at x (n_dofs,)."""
-        if self._last is None or not same(self._last[0], x):
-            self._last = frozen(x), self._paired(x)
-        return self._last[1]
+    def pairs(self, x: FloatArray, before: Pairs | PlyRubbing | None = None) -> Pairs:
+        """Pairs at x (n_dofs,); a node stays with the triangle of a state `before` if it can.
 
-    def _paired(self, x: FloatArray) -> Pairs:
+        A table that stays the same is the same array.
+        """
+        kept, last = None if before is None else before.triangles, self._last
+        known = last is not None and same(last[0], x)
+        if not known or not (last[1] is kept or np.array_equal(last[1], kept)):
+            found = self._paired(x, kept)
+            if last is not None and np.array_equal(last[2].dofs, found.dofs):
+                found = replace(found, dofs=last[2].dofs)
+            self._last = last = frozen(x), kept, found
+        return last[2]
+
+    def _paired(self, x: FloatArray, kept: IntArray | None) -> Pairs:
         points, surface = self.sheet.positions(x), self.other.positions(x)
         triangles = self.other.blank.triangles
         corners, normals = surface[triangles], nodal_normals(self.other, surface)
         count = min(NEAREST, len(triangles))
         near = cKDTree(corners.mean(1)).query(points, count)[1].reshape(len(points), -1)
-        first, own = near[:, 0], np.arange(len(points))
+        own, first = np.arange(len(points)), near[:, 0]
+        if kept is not None:
+            near[:, -1] = kept
         n = normals[triangles[first]].sum(1)
-        arm, legs = points[:, None] - corners[near, 2], corners[:, :2] - corners[:, 2:]
-        legs = legs[near]
+        arm, legs = points[:, None] - corners[near, 2], (corners[:, :2] - corners[:, 2:])[near]
         for _ in range(PASSES):
             b = _along(n, arm, legs)
-            best = b.min(2).argmax(1)
+            depth = b.min(2)
+            if kept is not None:
+                depth[:, -1] = np.where(depth[:, -1] > -MARGIN, 1.0, depth[:, -1])
+            best = depth.argmax(1)
             chosen, b = near[own, best], b[own, best]
             n = np.einsum("mi,mic->mc", np.clip(b, 0.0, 1.0), normals[triangles[chosen]])
             n /= np.linalg.norm(n, axis=1)[:, None]
         nodes = triangles[chosen]
         b = _along(n, arm[own, best, None], legs[own, best, None])[:, 0]
-        inside = b.min(1) > -OUTSIDE
+        smooth = self._smooth @ normals
+        rise = _rise(b, smooth[nodes], surface[nodes])
+        found = Pairs(chosen, self._table(nodes), b, n, rise, b.min(1) >= -OUTSIDE)
         facing = (n * nodal_normals(self.sheet, points)).sum(1) > 0.0
-        found = Pairs(self._table(nodes), b, n, _rise(b, normals[nodes], surface[nodes]), inside)
         deep = self.penetration(x, found) > DEEP * self.reach
-        return replace(found, paired=inside & facing & ~deep)
+        return replace(found, paired=found.paired & facing & ~deep)
 
     def initial(self, x: FloatArray) -> Pairs:
         return self.pairs(x)
 
     def refresh(self, x: FloatArray, state: Pairs) -> Pairs:
-        """Pair the nodes anew; a table that stays the same is the same array."""
-        found = self.pairs(x)
-        kept = np.array_equal(found.dofs, state.dofs)
-        return replace(found, dofs=state.dofs) if kept else found
+        return self.pairs(x, state)
 
     def carried(self, state: Pairs | None, old: Standing | None, new: Standing) -> Pairs:
         return self.initial(new.x)
@@ -201,16 +229,24 @@ class PlyContact(AtPairs):
 
     def stiffness_bound(self, x: FloatArray) -> FloatArray:
         """(m, 12) shares of the row sums of the stiffness if every node touched, N/mm."""
-        shares = np.abs(np.repeat(self._shares(self.pairs(x), np.arange(len(self.dofs))), 3, 1))
+        weights = np.abs(self.pairs(x).weights)
+        shares = np.repeat(np.column_stack([np.ones(len(weights)), weights]), 3, axis=1)
         return (self.area * self.compaction * shares.sum(1))[:, None] / 3 * shares
 
 
 @dataclass(frozen=True, eq=False)
 class PlyRubbing(Rubbing):
-    """What friction remembers: distances from the material points paired at the last commit."""
+    """What friction remembers: what slides, by the pairs of the last commit and by the present ones.
 
+    `points` and `touched` are by those of the last commit, `anchor` by the present ones.
+    """
+
+    origin: FloatArray  # (m, 3) the anchor by the pairs of the last commit, mm
+    from_dofs: IntArray  # (m, 12), and
+    from_weights: FloatArray  # (m, 3) of these pairs
+    triangles: IntArray  # (m,), and
     dofs: IntArray  # (m, 12), and
-    weights: FloatArray  # (m, 3) of these pairs
+    weights: FloatArray  # (m, 3) of the present pairs
 
 
 class PlyFriction(AtPairs, Friction):
@@ -221,72 +257,95 @@ class PlyFriction(AtPairs, Friction):
         self.contact, self.dofs, self.friction = contact, contact.dofs, friction
         self.sheet = contact.sheet
         self.stick = STICK * contact.compaction * contact.area
+        self.lever = contact.side * contact.reach
         self._last = None
 
     def relative(self, x: FloatArray, state: PlyRubbing) -> FloatArray:
-        return relative(state.dofs, state.weights, x)
+        """(m, 3) x - y - s t N, mm."""
+        return self._sliding(x, state.dofs, state.weights)
+
+    def _sliding(self, x: FloatArray, dofs: IntArray, weights: FloatArray) -> FloatArray:
+        return relative(dofs, weights, x) - self.lever * _facets(x, dofs)[2]
+
+    def slopes(self, x: FloatArray, state: PlyRubbing, rows: IntArray) -> FloatArray:
+        J = super().slopes(x, state, rows)
+        for corner, D in zip((1, 2, 3), _turning(*_facets(x, state.dofs[rows])), strict=True):
+            J[:, :, 3 * corner : 3 * corner + 3] -= self.lever * D
+        return J
+
+    def curved(self, x: FloatArray, state: PlyRubbing, here: Acting) -> FloatArray:
+        legs = _facets(x, state.dofs[here.rows])
+        H = np.zeros((len(here.rows), 12, 12))
+        H[:, 3:, 3:] = _curving(-self.lever * here.force, *legs)
+        return H
 
     def initial(self, x: FloatArray) -> PlyRubbing:
         """Nodes that touch at x are anchored where they are."""
-        start = self._committed(x, np.zeros((len(self.stick), 3)))
-        return self.refresh(x, start)
-
-    def _committed(self, x: FloatArray, anchor: FloatArray) -> PlyRubbing:
-        """State of a commit at x, with anchors (m, 3) relative to the present pairs."""
         pairs = self.contact.pairs(x)
+        return self._committed(x, pairs, self.contact.penetration(x, pairs) > 0, 0.0)
+
+    def _committed(
+        self, x: FloatArray, pairs: Pairs, touches: np.ndarray, slide: FloatArray | float
+    ) -> PlyRubbing:
+        """State of a commit at x with a slide (m, 3) from the anchors of what touches (m,)."""
         p = self.contact.penetration(x, pairs)
-        anchor = np.where((p > 0)[:, None], anchor, np.nan)
-        limit = self._limit(p)
+        points = self._sliding(x, pairs.dofs, pairs.weights)
+        anchor = np.where(touches[:, None], points - slide, np.nan)
         table = pairs.dofs, pairs.weights
-        return PlyRubbing(pairs.relative(x), p, anchor, anchor, pairs.normal, limit, *table)
+        given = points, p, anchor, anchor, pairs.normal, self._limit(p), anchor
+        return PlyRubbing(*given, *table, pairs.triangles, *table)
 
     def _limit(self, p: FloatArray) -> FloatArray:
         pressure = compaction_law(p, self.contact.compaction, self.contact.blend)[1]
         return self.friction * self.contact.area * pressure
 
     def refresh(self, x: FloatArray, state: PlyRubbing) -> PlyRubbing:
-        """Take normal forces and normals from x; see `Friction.refresh`."""
-        pairs = self.contact.pairs(x)
+        """Take pairs, normals and normal forces from x; what has slid is the same by all pairs.
+
+        Anchors are found as in `Friction.refresh`. A node that had no pair at the last commit slides
+        freely up to the next one.
+        """
+        pairs = self.contact.pairs(x, state)
         p = self.contact.penetration(x, pairs)
-        r, n = self.relative(x, state), pairs.normal
-        fresh = (state.p <= 0) & (p > 0)
-        clear = np.where(np.isfinite(state.p), -state.p, 0.0)
+        points = self._sliding(x, state.from_dofs, state.from_weights)
+        known = np.isfinite(state.p)
+        clear = np.where(known, -state.p, 1.0)
+        fresh = (clear >= 0) & (p > 0) & known
         part = np.where(fresh, clear / np.where(fresh, p + clear, 1.0), 0.0)
-        touch = part[:, None] * (r - (r * n).sum(1)[:, None] * n)
-        known = (fresh & ~np.isnan(state.anchor[:, 0]))[:, None]
-        anchor = np.where(fresh[:, None], touch, state.touched)
-        anchor = np.where(known, state.anchor, anchor)
-        # a node that had no pair at the last commit sticks from the next one on
-        limit = np.where(np.isfinite(state.p), self._limit(p), 0.0)
-        return replace(state, normal=n, limit=limit, anchor=anchor)
+        touch = state.points + part[:, None] * (points - state.points)
+        had = (fresh & ~np.isnan(state.origin[:, 0]))[:, None]
+        origin = np.where(fresh[:, None], touch, state.touched)
+        origin = np.where(had, state.origin, origin)
+        limit = np.where(known, self._limit(p), 0.0)
+        anchor = self._sliding(x, pairs.dofs, pairs.weights) - (points - origin)
+        now = {"triangles": pairs.triangles, "dofs": pairs.dofs, "weights": pairs.weights}
+        now |= {"normal": pairs.normal, "limit": limit, "origin": origin, "anchor": anchor}
+        return replace(state, **now)
 
     def through_refresh(self, x: FloatArray, before: Any, state: Any) -> None:
         raise InputError("no sensitivities with several plies")
 
     def commit(self, x: FloatArray, state: PlyRubbing) -> PlyRubbing:
-        """Pair anew; what is left of the slide is what is elastic.
-
-        The state that `refresh` would take from x is that of the commit, but for its limits, which
-        stay: no force changes.
-        """
-        s, length = self._slide(self.relative(x, state), state)
+        """Move the anchors of what slips, by the present pairs; what has left loses its anchor."""
+        p = self.contact.penetration(x, self.contact.pairs(x, state))
+        points = self.relative(x, state)
+        s, length = self._slide(points, state)
         keep = np.minimum(1.0, state.limit / (self.stick * np.maximum(length, 1e-300)))
-        after = self._committed(x, -keep[:, None] * s)
-        return replace(after, normal=state.normal, limit=state.limit)
+        anchor = np.where((p > 0)[:, None], points - keep[:, None] * s, np.nan)
+        start = {"from_dofs": state.dofs, "from_weights": state.weights, "origin": anchor}
+        return replace(state, points=points, p=p, touched=anchor, anchor=anchor, **start)
 
     def carried(self, state: PlyRubbing | None, old: Standing | None, new: Standing) -> PlyRubbing:
         """Take over from another mesh: see `Friction.carried`."""
-        pressure = np.zeros(len(self.stick))
+        contact, pressure = self.contact, np.zeros(len(self.stick))
         if state is not None and old is not None:
             theirs = old.term.contact
-            pressure = interpolated(theirs.places, state.limit / theirs.area, self.contact.places)
+            pressure = interpolated(theirs.places, state.limit / theirs.area, contact.places)
         touched = pressure > 0
-        start = self._committed(new.before, np.zeros((len(touched), 3)))
-        p = np.where(touched, np.maximum(start.p, 1e-9 * self.contact.blend), start.p)
-        p = np.where(touched, p, np.minimum(p, 0.0))
-        anchor = np.where(touched[:, None], np.zeros(3), np.nan)
-        more = {"normal": self.contact.pairs(new.x).normal, "limit": pressure * self.contact.area}
-        return replace(start, p=p, touched=anchor, anchor=anchor, **more)
+        start = self._committed(new.before, contact.pairs(new.before), touched, 0.0)
+        p = np.where(touched, np.maximum(start.p, 1e-9 * contact.blend), np.minimum(start.p, 0.0))
+        normal = contact.pairs(new.x).normal
+        return replace(start, p=p, normal=normal, limit=pressure * contact.area)
 
     def acting(self, x: FloatArray, state: PlyRubbing) -> Acting:
         last = self._last
@@ -295,6 +354,63 @@ class PlyFriction(AtPairs, Friction):
             points = self.relative(x, state)
             self._last = last = frozen(x), state, self._acting(points, state, rows)
         return last[2]
+
+
+def _facets(x: FloatArray, dofs: IntArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Legs u, v (m, 3) of triangles, their unit normals (m, 3), and |u x v| (m,)."""
+    a, b, c = x[dofs[:, 3:]].reshape(-1, 3, 3).transpose(1, 0, 2)
+    u, v = b - a, c - a
+    across = np.cross(u, v)
+    length = np.maximum(np.linalg.norm(across, axis=1), 1e-300)
+    return u, v, across / length[:, None], length
+
+
+def _turning(
+    u: FloatArray, v: FloatArray, N: FloatArray, length: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(m, 3, 3) derivatives of the unit normals of triangles by their corners."""
+    Q = (np.eye(3) - N[:, :, None] * N[:, None]) / length[:, None, None]
+    by_u, by_v = -Q @ skew(v), Q @ skew(u)
+    return -by_u - by_v, by_u, by_v
+
+
+def _curving(
+    force: FloatArray, u: FloatArray, v: FloatArray, N: FloatArray, length: FloatArray
+) -> FloatArray:
+    """(m, 9, 9) second derivatives of force (m, 3) times the unit normals, by the corners."""
+    kappa = (force * N).sum(1)
+    q = (force - kappa[:, None] * N) / length[:, None]
+    y = np.stack([force, np.zeros_like(force), u, v], axis=1)
+    ones = np.array([[1.0, 0.0]] * len(force)).reshape(-1, 2)
+    both = np.stack([kappa, np.zeros_like(kappa)], axis=1)
+    slope = np.stack([q, np.zeros_like(q)], axis=1)
+    H = second_derivative(ones, y, both, N, length, slope)[:, 6:, 6:]
+    from_legs = np.kron(np.array([[-1.0, 1.0, 0.0], [-1.0, 0.0, 1.0]]), np.eye(3))
+    return from_legs.T @ H @ from_legs
+
+
+def slip_between(start: FloatArray, pair: Sequence[PlyContact], x: FloatArray) -> float:
+    """99th percentile of how far two plies have slid on each other since the start, mm, by area."""
+    slid = np.concatenate([contact.slid(start, x) for contact in pair])
+    area, known = np.concatenate([contact.area for contact in pair]), ~np.isnan(slid)
+    if not known.any():
+        return 0.0
+    order = np.argsort(slid[known])
+    below = np.cumsum(area[known][order])
+    return float(slid[known][order][np.searchsorted(below, 0.99 * below[-1])])
+
+
+def _averages(sheet: Sheet) -> csr_array:
+    """(n_nodes, n_nodes) repeated means of values at the nodes of a sheet and their neighbours."""
+    edges, n = sheet.blank.mesh.facets, len(sheet.blank.nodes)
+    own = np.arange(n)
+    at = np.concatenate([own, *edges]), np.concatenate([own, *edges[::-1]])
+    once = csr_array((np.ones(len(at[0])), at), shape=(n, n))
+    once = once / once.sum(1)[:, None]
+    mean = once
+    for _ in range(SMOOTHED - 1):
+        mean = mean @ once
+    return csr_array(mean)
 
 
 def nodal_normals(sheet: Sheet, places: FloatArray) -> FloatArray:
