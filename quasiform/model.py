@@ -173,7 +173,7 @@ class Model:
     @property
     def ply_pairs(self) -> list[tuple[PlyContact, PlyContact]]:
         """Both contact terms of each pair of plies, that of the upper ply first."""
-        found = self.ply_contacts
+        found = self.ply_contacts if len(self.sheets) > 1 else []
         return list(zip(found[::2], found[1::2], strict=True))
 
     def add(self, name: str, components: int, sheet: Sheet | None = None, **given: Any) -> Field:

@@ -236,7 +236,7 @@ class PlyContact(AtPairs):
 
 @dataclass(frozen=True, eq=False)
 class PlyRubbing(Rubbing):
-    """What friction remembers: what slides, by the pairs of the last commit and by the present ones.
+    """What friction remembers of what slides, by the pairs of the last commit and the present ones.
 
     `points` and `touched` are by those of the last commit, `anchor` by the present ones.
     """
@@ -302,8 +302,8 @@ class PlyFriction(AtPairs, Friction):
     def refresh(self, x: FloatArray, state: PlyRubbing) -> PlyRubbing:
         """Take pairs, normals and normal forces from x; what has slid is the same by all pairs.
 
-        Anchors are found as in `Friction.refresh`. A node that had no pair at the last commit slides
-        freely up to the next one.
+        Anchors are found as in `Friction.refresh`. A node that had no pair at the last commit
+        slides freely up to the next one.
         """
         pairs = self.contact.pairs(x, state)
         p = self.contact.penetration(x, pairs)
@@ -387,6 +387,11 @@ def _curving(
     H = second_derivative(ones, y, both, N, length, slope)[:, 6:, 6:]
     from_legs = np.kron(np.array([[-1.0, 1.0, 0.0], [-1.0, 0.0, 1.0]]), np.eye(3))
     return from_legs.T @ H @ from_legs
+
+
+def pair_name(pair: Sequence[PlyContact]) -> str:
+    """Numbers of two plies, such as 1_2."""
+    return "_".join(contact.sheet.name.rpartition(" ")[2] for contact in pair)
 
 
 def slip_between(start: FloatArray, pair: Sequence[PlyContact], x: FloatArray) -> float:

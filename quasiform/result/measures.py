@@ -125,6 +125,9 @@ def formed(
         **slipping,
         "doubt": sum(2**bit * doubts[name].astype(float) for bit, name in enumerate(DOUBTS)),
     }
+    for contact in model.ply_contacts:
+        slid = np.nan_to_num(contact.slid(model.x0, x))[node]
+        at_nodes[f"slip_on_{contact.other.name.replace(' ', '_')}"] = slid
     return replace(bare, point_fields=at_nodes | at_slip, cell_fields=fields)
 
 
@@ -227,6 +230,12 @@ def wrinkles(model: Model, x: FloatArray) -> dict[str, float | None]:
 def max_penetration(model: Model, x: FloatArray) -> float:
     """Deepest penetration into a tool at the contact points, mm."""
     return max([0.0, *(float(contact.penetration(x).max()) for contact in model.contacts)])
+
+
+def max_ply_penetration(model: Model, x: FloatArray) -> float:
+    """Deepest penetration of plies into each other at their nodes, mm; 0 of one sheet."""
+    found = (c.penetration(x, c.pairs(x)).max() for pair in model.ply_pairs for c in pair)
+    return max([0.0, *map(float, found)])
 
 
 def chord_penetration(model: Model, x: FloatArray, fibres: bool = False) -> float:

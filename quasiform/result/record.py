@@ -63,6 +63,8 @@ class Record:
         What was solved; None for a run read from its folder.
     gripped : (n,) bool array or None
         Nodes of the last sheet that are held in all directions.
+    stacks : Sheets or None
+        All plies of each travel in one sheet, where there are several: what is written.
     """
 
     summary: dict[str, Any]
@@ -71,12 +73,13 @@ class Record:
     folder: Path | None = None
     model: Model | None = field(default=None, repr=False)
     gripped: np.ndarray | None = field(default=None, repr=False)
+    stacks: Sheets | None = field(default=None, repr=False)
 
     @classmethod
-    def read(cls, folder: str | Path) -> Record:
+    def read(cls, folder: str | Path, ply: int = 1) -> Record:
         """Read the folder of a run; a mesh is read when it is asked for.
 
-        InputError names the file and its defect.
+        Of a stack the sheets are those of one ply. InputError names the file and its defect.
         """
         folder = Path(folder)
         if not folder.is_dir():
@@ -84,7 +87,7 @@ class Record:
         summary = _read_summary(folder / "summary.json")
         files = sheet_files(folder)
         travels = [summary["reached_mm"] if s is None else s for s, _ in files]
-        sheets = Sheets(travels, lambda k: _own_sheet(files[k][1], travels[k]))
+        sheets = Sheets(travels, lambda k: _own_sheet(files[k][1], travels[k], ply))
         return cls(summary, _read_history(folder / "history.csv"), sheets, folder)
 
     @classmethod
@@ -249,6 +252,13 @@ class Record:
         locks = onset is not None and shear.get("C_lo") and 0 < onset < 1
         return float(np.degrees(np.arcsin(onset))) if locks else None
 
+    def of_ply(self, ply: int) -> Record:
+        """Return the run with the sheets of another ply; InputError if there is none."""
+        if self.folder is not None:
+            return Record.read(self.folder, ply)
+        stacks = self.stacks or self.sheets
+        return replace(self, sheets=Sheets(stacks.travels, lambda k: stacks[k].ply(ply)))
+
     def upto(self, state: int) -> Record:
         """Return the run up to one of its sheets."""
         count = range(len(self.sheets))[state] + 1
@@ -263,7 +273,7 @@ class Record:
 
         Sheets along the travel are written from number `since` on; without `increments` none.
         """
-        folder, end = Path(folder), self.sheets[-1]
+        folder, end, stacks = Path(folder), self.sheets[-1], self.stacks or self.sheets
         summary = json.dumps(self.summary, indent=2, allow_nan=False, default=np.generic.item)
         (folder / "summary.json").write_text(summary + "\n", encoding="utf-8")
         columns = np.column_stack(list(self.history.values()))
@@ -276,10 +286,13 @@ class Record:
         for number, travel in enumerate(self.sheets.travels if increments else ()):
             name = f"increment_{number:04d}.vtu"
             if number >= since:
-                self.sheets[number].write(folder / name)
+                stacks[number].write(folder / name)
             ET.SubElement(series, "DataSet", timestep=f"{travel:.8g}", part="0", file=name)
         ET.ElementTree(collection).write(folder / "result.pvd", xml_declaration=True)
-        end.write(folder / "result.vtu")
+        whole = stacks[-1]
+        whole.write(folder / "result.vtu")
+        for ply in range(1, 1 + len(self.summary.get("plies", ()))):
+            whole.ply(ply).write(folder / f"ply_{ply}.vtu")
 
 
 def _read_summary(path: Path) -> dict[str, Any]:
@@ -351,10 +364,10 @@ def series(path: Path) -> list[tuple[float, Path]]:
     return sorted(found, key=lambda entry: entry[0])
 
 
-def _own_sheet(path: Path, travel: float) -> FormedSheet:
-    """Sheet in a file of this program."""
+def _own_sheet(path: Path, travel: float, ply: int) -> FormedSheet:
+    """Sheet in a file of this program: one of its plies."""
     with naming(path):
-        sheet = read_sheets(path)[-1]
+        sheet = read_sheets(path)[-1].ply(ply)
         for where, names in NEEDED.items():
             for name in names:
                 if name not in getattr(sheet, where):

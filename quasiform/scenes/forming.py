@@ -22,7 +22,7 @@ from ..energy.bending import Bending, PatchBending
 from ..energy.contact import Contact, at_edges, surrounds
 from ..energy.friction import Friction
 from ..energy.membrane import membrane_of
-from ..energy.plies import slip_between
+from ..energy.plies import pair_name, slip_between
 from ..energy.softening import Softening, bending_terms
 from ..energy.term import Term
 from ..energy.weight import GRAVITY, SheetWeight, ToolForce, ToolWeight, load_of
@@ -457,9 +457,8 @@ def _measure(model: Model) -> None:
         start = f"ply_{k}_" * (k > 1)
         model.measures[f"{start}shear_angle_max_deg"] = ply.membrane.largest_shear_angle
         model.measures[f"{start}draw_in_mm"] = partial(_draw_in, ply)
-    for above, below in model.ply_pairs:
-        numbers = "_".join(sheet.name.rpartition(" ")[2] for sheet in (above.sheet, below.sheet))
-        model.measures[f"slip_{numbers}_mm"] = partial(slip_between, model.x0, (above, below))
+    for pair in model.ply_pairs:
+        model.measures[f"slip_{pair_name(pair)}_mm"] = partial(slip_between, model.x0, pair)
 
 
 def _draw_in(ply: Model, x: np.ndarray) -> float:

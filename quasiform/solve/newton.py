@@ -142,7 +142,8 @@ def settle(equations: Equilibrium, x: FloatArray) -> FloatArray:
     passes; on the way, the next increment may take over the last of it.
     """
     mixed, goal = equations.mixed, equations.goal
-    passes = 60 if equations.at_end else 12
+    # pairs of plies are lagged too: more passes, of which most take one factorisation
+    passes = 60 if equations.at_end or equations.model.ply_contacts else 12
     inner = max(goal, 0.1) if mixed else goal
     used, fresh = [], []  # lagged values that the state was solved with, and those then found
     for i in range(passes):
