@@ -2,11 +2,13 @@
 
 Each pair of plies has two such energies, one for the nodes of each ply, at half the weight. A node
 x of a ply is paired with the point y = Σ b_i x_i of a triangle of the other ply, b its barycentric
-coordinates, where x - y is along the normal n of that ply: nodal normals (means over the triangles
-around a node), interpolated by b. The surface is smooth: between its nodes it lies higher than the
-triangle by
+coordinates, where x - y is along the normal n of that ply: nodal normals, interpolated by b. The
+surface is smooth: between its nodes it lies higher than the triangle by
 
-    h = 1/2 Σ_(i<j) b_i b_j (n_j - n_i)·(x_j - x_i).
+    h = 1/2 Σ_(i<j) b_i b_j c_ij |x_j - x_i|²,
+
+c_ij the curvature along an edge, from normals that are averaged over neighbours: a zigzag of the
+nodes has none.
 
 With the mean thickness t and the side s = 1 of a node above the other ply, -1 of one below it,
 
@@ -161,30 +163,36 @@ class PlyContact(AtPairs):
         points, surface = self.sheet.positions(x), self.other.positions(x)
         triangles = self.other.blank.triangles
         corners, normals = surface[triangles], nodal_normals(self.other, surface)
-        count = min(NEAREST, len(triangles))
-        near = cKDTree(corners.mean(1)).query(points, count)[1].reshape(len(points), -1)
-        own, first = np.arange(len(points)), near[:, 0]
-        if kept is not None:
-            near[:, -1] = kept
-        n = normals[triangles[first]].sum(1)
-        arm, legs = points[:, None] - corners[near, 2], (corners[:, :2] - corners[:, 2:])[near]
-        for _ in range(PASSES):
-            b = _along(n, arm, legs)
-            depth = b.min(2)
-            if kept is not None:
-                depth[:, -1] = np.where(depth[:, -1] > -MARGIN, 1.0, depth[:, -1])
-            best = depth.argmax(1)
-            chosen, b = near[own, best], b[own, best]
-            n = np.einsum("mi,mic->mc", np.clip(b, 0.0, 1.0), normals[triangles[chosen]])
-            n /= np.linalg.norm(n, axis=1)[:, None]
+        chosen = np.zeros(len(points), dtype=int) if kept is None else kept.copy()
+        b, n = self._feet(points, corners, normals, chosen[:, None])[1:]
+        lost = np.arange(len(points)) if kept is None else np.flatnonzero(b.min(1) < -MARGIN)
+        if len(lost):
+            count = min(NEAREST, len(triangles))
+            near = cKDTree(corners.mean(1)).query(points[lost], count)[1].reshape(len(lost), -1)
+            found = self._feet(points[lost], corners, normals, near)
+            chosen[lost], b[lost], n[lost] = found
         nodes = triangles[chosen]
-        b = _along(n, arm[own, best, None], legs[own, best, None])[:, 0]
-        smooth = self._smooth @ normals
-        rise = _rise(b, smooth[nodes], surface[nodes])
+        means = ((self._smooth @ field)[nodes] for field in (normals, surface))
+        rise = _rise(b, *means, surface[nodes])
         found = Pairs(chosen, self._table(nodes), b, n, rise, b.min(1) >= -OUTSIDE)
         facing = (n * nodal_normals(self.sheet, points)).sum(1) > 0.0
         deep = self.penetration(x, found) > DEEP * self.reach
         return replace(found, paired=found.paired & facing & ~deep)
+
+    def _feet(
+        self, points: FloatArray, corners: FloatArray, normals: FloatArray, near: IntArray
+    ) -> tuple[IntArray, FloatArray, FloatArray]:
+        """Which of the triangles `near` (m, k) each point is over, b (m, 3) there, n (m, 3)."""
+        own, triangles = np.arange(len(points)), self.other.blank.triangles
+        n = normals[triangles[near[:, 0]]].sum(1)
+        arm, legs = points[:, None] - corners[near, 2], (corners[:, :2] - corners[:, 2:])[near]
+        for _ in range(PASSES):
+            b = _along(n, arm, legs)
+            best = b.min(2).argmax(1)
+            chosen, b = near[own, best], b[own, best]
+            n = np.einsum("mi,mic->mc", np.clip(b, 0.0, 1.0), normals[triangles[chosen]])
+            n /= np.linalg.norm(n, axis=1)[:, None]
+        return chosen, _along(n, arm[own, best, None], legs[own, best, None])[:, 0], n
 
     def initial(self, x: FloatArray) -> Pairs:
         return self.pairs(x)
@@ -419,12 +427,18 @@ def _averages(sheet: Sheet) -> csr_array:
 
 
 def nodal_normals(sheet: Sheet, places: FloatArray) -> FloatArray:
-    """(n_nodes, 3) unit normals of a sheet at its nodes, at places (n_nodes, 3)."""
-    triangles = sheet.blank.triangles
-    a, b, c = places[triangles].transpose(1, 0, 2)
-    across = np.repeat(np.cross(b - a, c - a), 3, axis=0)
-    at = triangles.ravel()
-    n = np.column_stack([np.bincount(at, part, minlength=len(places)) for part in across.T])
+    """(n_nodes, 3) unit normals of a sheet at its nodes, at places (n_nodes, 3).
+
+    With the weights of N. Max, J. Graphics Tools 4 (1999) 1-6, which are exact on a sphere.
+    """
+    triangles, n = sheet.blank.triangles, np.zeros_like(places)
+    corners = places[triangles]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    sides = ((np.roll(corners, -1, axis=1) - corners) ** 2).sum(2)  # squares, of 01, 12, 20
+    for k in range(3):
+        part = across / (sides[:, k] * sides[:, k - 1])[:, None]
+        at = triangles[:, k]
+        n += np.column_stack([np.bincount(at, w, minlength=len(n)) for w in part.T])
     for axis, plane in enumerate("xy"):  # the mirrored half has the mirrored normal
         if plane in sheet.blank.mirror:
             n[np.abs(sheet.blank.nodes[:, axis]) < 1e-9, axis] = 0.0
@@ -444,10 +458,14 @@ def _along(n: FloatArray, arm: FloatArray, legs: FloatArray) -> FloatArray:
     return np.stack([first, second, 1.0 - first - second], axis=2)
 
 
-def _rise(b: FloatArray, n: FloatArray, places: FloatArray) -> FloatArray:
-    """(m,) h of points b (m, 3) in triangles with normals and places (m, 3, 3) of the corners."""
+def _rise(b: FloatArray, n: FloatArray, means: FloatArray, places: FloatArray) -> FloatArray:
+    """(m,) h of points b (m, 3) in triangles with these places (m, 3, 3) of the corners, mm.
+
+    The curvature along an edge is that of means n of the normals over `means` of the places.
+    """
     b, rise = np.clip(b, 0.0, 1.0), np.zeros(len(b))
     for i, j in ((0, 1), (1, 2), (2, 0)):
-        bulge = ((n[:, j] - n[:, i]) * (places[:, j] - places[:, i])).sum(1)
-        rise += 0.5 * b[:, i] * b[:, j] * bulge
+        edge, mean = places[:, j] - places[:, i], means[:, j] - means[:, i]
+        curvature = ((n[:, j] - n[:, i]) * mean).sum(1) / np.maximum((mean**2).sum(1), 1e-300)
+        rise += 0.5 * b[:, i] * b[:, j] * curvature * (edge**2).sum(1)
     return rise

@@ -26,7 +26,7 @@ def assumed(model: Model) -> list[str]:
         if k == 1:
             found += [f"fabric.{name}" for name in _of_fabric(ply)]
         elif ply.sheet.fabric != own:
-            found += [f"plies.{k}.fabric.{name}" for name in _of_fabric(ply)]
+            found += [f"plies {k}.fabric.{name}" for name in _of_fabric(ply)]
     return found
 
 

@@ -193,7 +193,7 @@ def written(layers: Sequence[Layer]) -> list[dict[str, Any]]:
 def assumed_frictions(file: SceneFile) -> list[str]:
     """Dotted names of coefficients between plies that the scene does not give."""
     pairs = enumerate(file.plies[1:], 2)
-    return [f"plies.{i}.friction" for i, p in pairs if p.friction is None and not p.joined]
+    return [f"plies {i}.friction" for i, p in pairs if p.friction is None and not p.joined]
 
 
 def as_tables(plies: Sequence[Any]) -> list[dict[str, Any]]:
