@@ -34,7 +34,11 @@ class Potential:
         self._keys, self._constant = np.empty(0, dtype=np.int64), np.zeros(1)
         self._shares: list[_Share] = []
         self._lay_out([term.stencils(s) for term, s in zip(self.terms, memory, strict=True)])
-        self._groups = self._group()
+        self._groups, self._changed = self._group(), False
+
+    def renewed(self, memory: Memory) -> Potential:
+        """The same without what stencils have left in the pattern; itself if none has changed."""
+        return Potential(self.terms, self.free, memory) if self._changed else self
 
     def follow(self, memory: Memory) -> bool:
         """Take over changed stencils; whether the pattern had to be rebuilt for them."""
@@ -43,7 +47,7 @@ class Potential:
             return False
         pattern = self.pattern
         self._lay_out(tables)
-        self._groups = self._group()
+        self._groups, self._changed = self._group(), True
         return self.pattern is not pattern
 
     def _lay_out(self, tables: list[IntArray]) -> None:

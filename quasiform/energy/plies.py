@@ -49,7 +49,7 @@ NEAREST = 12  # triangles, by their centroids, among which that under a point is
 MARGIN = 0.03  # how far b may be negative before a node leaves its triangle
 SMOOTHED = 3  # averages of the normals from which h is taken: a zigzag of the nodes has none
 PASSES = 3  # of the search for the foot of the normal
-OUTSIDE = 0.05  # how far b may be negative, so that the rims of equal outlines meet
+RIM = 0.2  # over so much of a triangle beyond the rim of the other ply a node loses its contact
 DEEP = 3.0  # of the mean thickness: what is farther on the wrong side is on another fold
 
 
@@ -62,7 +62,7 @@ class Pairs:
     weights: FloatArray  # (m, 3) b
     normal: FloatArray  # (m, 3) n
     rise: FloatArray  # (m,) h, mm
-    paired: np.ndarray  # (m,) bool: whether there is a triangle under or over the node
+    share: FloatArray  # (m,) of the node's area that lies over or under the other ply: 0 to 1
 
     def relative(self, x: FloatArray) -> FloatArray:
         """(m, 3) x - y, mm."""
@@ -174,10 +174,11 @@ class PlyContact(AtPairs):
         nodes = triangles[chosen]
         means = ((self._smooth @ field)[nodes] for field in (normals, surface))
         rise = _rise(b, *means, surface[nodes])
-        found = Pairs(chosen, self._table(nodes), b, n, rise, b.min(1) >= -OUTSIDE)
+        share = np.clip(1.0 + b.min(1) / RIM, 0.0, 1.0)
+        found = Pairs(chosen, self._table(nodes), b, n, rise, share)
         facing = (n * nodal_normals(self.sheet, points)).sum(1) > 0.0
         deep = self.penetration(x, found) > DEEP * self.reach
-        return replace(found, paired=found.paired & facing & ~deep)
+        return replace(found, share=share * (facing & ~deep))
 
     def _feet(
         self, points: FloatArray, corners: FloatArray, normals: FloatArray, near: IntArray
@@ -209,7 +210,7 @@ class PlyContact(AtPairs):
     def penetration(self, x: FloatArray, state: Pairs) -> FloatArray:
         """(m,) p, mm; negative where the plies are clear of each other, or without a pair."""
         p = self.reach - self.side * ((state.normal * state.relative(x)).sum(1) - state.rise)
-        return np.where(state.paired, p, -np.inf)
+        return np.where(state.share > 0, p, -np.inf)
 
     def pressure(self, x: FloatArray, state: Pairs) -> FloatArray:
         """(m,) contact pressure, MPa: at half the weight, this is that of one direction."""
@@ -222,7 +223,7 @@ class PlyContact(AtPairs):
         p = self.penetration(x, state)
         rows = np.flatnonzero(p > 0.0)
         value, first, second = self._law(p[rows])
-        n, w = state.normal[rows], self.area[rows]
+        n, w = state.normal[rows], self.area[rows] * state.share[rows]
         force = -self.side * (w * first)[:, None] * n
         K = (w * second)[:, None, None] * n[:, :, None] * n[:, None]
         return Acting(rows, w * value, force, K)
@@ -232,7 +233,7 @@ class PlyContact(AtPairs):
         before, now = self.pairs(start), self.pairs(x)
         r = before.relative(x)
         s = r - (r * now.normal).sum(1)[:, None] * now.normal
-        both = before.paired & now.paired
+        both = (before.share > 0) & (now.share > 0)
         return np.where(both, np.linalg.norm(s, axis=1), np.nan)
 
     def stiffness_bound(self, x: FloatArray) -> FloatArray:
@@ -300,12 +301,12 @@ class PlyFriction(AtPairs, Friction):
         points = self._sliding(x, pairs.dofs, pairs.weights)
         anchor = np.where(touches[:, None], points - slide, np.nan)
         table = pairs.dofs, pairs.weights
-        given = points, p, anchor, anchor, pairs.normal, self._limit(p), anchor
+        given = points, p, anchor, anchor, pairs.normal, self._limit(p, pairs), anchor
         return PlyRubbing(*given, *table, pairs.triangles, *table)
 
-    def _limit(self, p: FloatArray) -> FloatArray:
+    def _limit(self, p: FloatArray, pairs: Pairs) -> FloatArray:
         pressure = compaction_law(p, self.contact.compaction, self.contact.blend)[1]
-        return self.friction * self.contact.area * pressure
+        return self.friction * self.contact.area * pairs.share * pressure
 
     def refresh(self, x: FloatArray, state: PlyRubbing) -> PlyRubbing:
         """Take pairs, normals and normal forces from x; what has slid is the same by all pairs.
@@ -324,7 +325,7 @@ class PlyFriction(AtPairs, Friction):
         had = (fresh & ~np.isnan(state.origin[:, 0]))[:, None]
         origin = np.where(fresh[:, None], touch, state.touched)
         origin = np.where(had, state.origin, origin)
-        limit = np.where(known, self._limit(p), 0.0)
+        limit = np.where(known, self._limit(p, pairs), 0.0)
         anchor = self._sliding(x, pairs.dofs, pairs.weights) - (points - origin)
         now = {"triangles": pairs.triangles, "dofs": pairs.dofs, "weights": pairs.weights}
         now |= {"normal": pairs.normal, "limit": limit, "origin": origin, "anchor": anchor}

@@ -12,6 +12,7 @@ from .measures import (
     LIFTED,
     bent_radius,
     chord_penetration,
+    left_out_penetration,
     max_penetration,
     max_ply_penetration,
 )
@@ -91,7 +92,7 @@ def certify(result: Outcome) -> Certificate:
         "smallest_radius_mm": min(bent_radius(view, x) for view in views),
         "flange_lift_mm": result.flange_lift,
     }
-    between = max_ply_penetration(model, x)
+    between, outside = max_ply_penetration(model, x), left_out_penetration(model, x)
     if model.ply_pairs:
         slips = result.slip_between_plies
         figures["ply_penetration_mm"] = between
@@ -116,6 +117,9 @@ def certify(result: Outcome) -> Certificate:
     doubtful = {
         f"penetration {depth:.4f} mm at a node, {allowed:.4f} allowed": depth > allowed,
         f"plies penetrate each other by {between:.4f} mm, {allowed:.4f} allowed": between > allowed,
+        f"a ply penetrates by {outside:.4f} mm a tool that the model keeps it from": (
+            outside > allowed
+        ),
         f"a fibre cuts {chord:.2f} mm into a tool, {CHORD * thickness:.2f} allowed": (
             chord > CHORD * thickness
         ),

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..energy.bending import Bending
-from ..energy.contact import moment
+from ..energy.contact import Contact, moment
 from ..energy.slip import Slipped
 from ..model import COLLAPSE, Model
 from ..net.blank import Blank
@@ -236,6 +236,17 @@ def max_ply_penetration(model: Model, x: FloatArray) -> float:
     """Deepest penetration of plies into each other at their nodes, mm; 0 of one sheet."""
     found = (c.penetration(x, c.pairs(x)).max() for pair in model.ply_pairs for c in pair)
     return max([0.0, *map(float, found)])
+
+
+def left_out_penetration(model: Model, x: FloatArray) -> float:
+    """Deepest penetration of a ply into a tool from which others should keep it, mm."""
+    deepest, tools = 0.0, {c.tool.name: c for c in model.contacts}
+    for sheet in model.sheets:
+        met = {c.tool.name for c in model.contacts if c.sheet is sheet}
+        for name in tools.keys() - met:
+            contact = Contact(sheet, tools[name].tool, tools[name].tool_dofs)
+            deepest = max(deepest, float(contact.penetration(x).max()))
+    return deepest
 
 
 def chord_penetration(model: Model, x: FloatArray, fibres: bool = False) -> float:

@@ -257,7 +257,8 @@ class Record:
         if self.folder is not None:
             return Record.read(self.folder, ply)
         stacks = self.stacks or self.sheets
-        return replace(self, sheets=Sheets(stacks.travels, lambda k: stacks[k].ply(ply)))
+        sheets = Sheets(stacks.travels, lambda k: stacks[k].ply(ply))
+        return replace(self, sheets=sheets, gripped=None)
 
     def upto(self, state: int) -> Record:
         """Return the run up to one of its sheets."""

@@ -86,7 +86,14 @@ class Equilibrium:
         """
         if self.remembers:
             self.take(memory)
+            self.renew()
             self.certify(x)
+
+    def renew(self) -> None:
+        """Forget stencils of the way here: a run that is continued has never met them."""
+        if (potential := self.potential.renewed(self.memory)) is not self.potential:
+            self.potential = potential
+            self.tangent.take(potential)
 
     def begin(self, x: FloatArray, travel: float) -> None:
         """Begin an increment from x to `travel`, by which `check_slide` judges."""
