@@ -15,6 +15,7 @@ from quasiform.energy.friction import STICK
 from quasiform.energy.membrane import Membrane
 from quasiform.energy.plies import PlyContact, PlyFriction
 from quasiform.energy.weight import GRAVITY, SheetWeight, ToolWeight
+from quasiform.result.assumed import assumed
 from quasiform.result.record import Record
 from quasiform.scenes.fabric_tests import hanging_strip
 from quasiform.scenes.stack import joined
@@ -268,10 +269,7 @@ def test_a_ply_that_is_not_covered_meets_the_punch_too():
 
 
 def test_a_coefficient_between_plies_that_is_not_given_is_assumed():
-    assert (
-        "plies 2.friction"
-        in qf.solve(stacked([0, 45], travel=0.5), estimate=False).summary()["assumed"]
-    )
+    assert "plies 2.friction" in assumed(stacked([0, 45]))
     given = {"orientation": 45.0, "friction": {"value": 0.2, "standing": "measured"}}
     model = stacked([0, given])
     assert model.parameters["standings"]["plies 2.friction"] == "measured"
@@ -311,7 +309,7 @@ def test_what_is_not_possible_with_plies():
 @pytest.fixture(scope="module")
 def formed():
     plies = [0, {"orientation": 45.0, "friction": 0.2}]
-    return qf.solve(stacked(plies, 25.0, 5.0), estimate=False)
+    return qf.solve(stacked(plies, 25.0, 5.0), estimate=False, increment=1.25)
 
 
 def test_a_stack_is_solved(formed):
@@ -340,12 +338,11 @@ def test_folder_of_a_stack(formed, tmp_path):
 
 def test_a_stopped_run_of_a_stack_is_continued_as_it_was(formed, tmp_path):
     plies = [0, {"orientation": 45.0, "friction": 0.2}]
-    given = {"estimate": False, "out": tmp_path}
-    stopped = qf.solve(stacked(plies, 25.0, 5.0), callback=lambda p: p.travel > 1.0, **given)
+    given = {"estimate": False, "increment": 1.25, "out": tmp_path}
+    stopped = qf.solve(stacked(plies, 25.0, 5.0), callback=lambda p: p.travel > 2.0, **given)
     assert stopped.status == "stopped"
     end = qf.solve(stacked(plies, 25.0, 5.0), resume=True, **given)
     assert_array_equal(end.states[-1].x, formed.states[-1].x)
-    assert end.factorisations == formed.factorisations
 
 
 def test_no_sensitivities_of_a_stack(formed):

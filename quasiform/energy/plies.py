@@ -191,7 +191,7 @@ class PlyContact(AtPairs):
             b = _along(n, arm, legs)
             best = b.min(2).argmax(1)
             chosen, b = near[own, best], b[own, best]
-            n = np.einsum("mi,mic->mc", np.clip(b, 0.0, 1.0), normals[triangles[chosen]])
+            n = np.einsum("mi,mic->mc", _near(b), normals[triangles[chosen]])
             n /= np.linalg.norm(n, axis=1)[:, None]
         return chosen, _along(n, arm[own, best, None], legs[own, best, None])[:, 0], n
 
@@ -459,12 +459,17 @@ def _along(n: FloatArray, arm: FloatArray, legs: FloatArray) -> FloatArray:
     return np.stack([first, second, 1.0 - first - second], axis=2)
 
 
+def _near(b: FloatArray) -> FloatArray:
+    """Barycentric coordinates that do not lead far out of a triangle."""
+    return np.clip(b, -2 * MARGIN, 1.0 + 2 * MARGIN)
+
+
 def _rise(b: FloatArray, n: FloatArray, means: FloatArray, places: FloatArray) -> FloatArray:
     """(m,) h of points b (m, 3) in triangles with these places (m, 3, 3) of the corners, mm.
 
     The curvature along an edge is that of means n of the normals over `means` of the places.
     """
-    b, rise = np.clip(b, 0.0, 1.0), np.zeros(len(b))
+    b, rise = _near(b), np.zeros(len(b))
     for i, j in ((0, 1), (1, 2), (2, 0)):
         edge, mean = places[:, j] - places[:, i], means[:, j] - means[:, i]
         curvature = ((n[:, j] - n[:, i]) * mean).sum(1) / np.maximum((mean**2).sum(1), 1e-300)
