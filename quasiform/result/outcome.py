@@ -15,6 +15,7 @@ from ..net.blank import Blank
 from ..net.edges import disc
 from ..net.transfer import interpolated
 from . import measures
+from .plies import in_one
 from .sheet import FormedSheet
 
 FloatArray = np.ndarray
@@ -173,7 +174,7 @@ class Outcome:
 
     def stack_at(self, state: int = -1) -> FormedSheet:
         """All plies of a state in one formed sheet with the field `ply`; the sheet if it is one."""
-        return FormedSheet.of_plies([ply.sheet_at(state) for ply in self.plies])
+        return in_one([ply.sheet_at(state) for ply in self.plies])
 
     @property
     def flange_lift(self) -> float:

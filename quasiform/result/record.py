@@ -19,6 +19,7 @@ import numpy as np
 
 from ..checks import FORMAT, InputError, force_column, naming
 from .files import SCENE
+from .plies import one_of
 from .sheet import FormedSheet, read_sheets
 
 if TYPE_CHECKING:
@@ -257,7 +258,7 @@ class Record:
         if self.folder is not None:
             return Record.read(self.folder, ply)
         stacks = self.stacks or self.sheets
-        sheets = Sheets(stacks.travels, lambda k: stacks[k].ply(ply))
+        sheets = Sheets(stacks.travels, lambda k: one_of(stacks[k], ply))
         return replace(self, sheets=sheets, gripped=None)
 
     def upto(self, state: int) -> Record:
@@ -293,7 +294,7 @@ class Record:
         whole = stacks[-1]
         whole.write(folder / "result.vtu")
         for ply in range(1, 1 + len(self.summary.get("plies", ()))):
-            whole.ply(ply).write(folder / f"ply_{ply}.vtu")
+            one_of(whole, ply).write(folder / f"ply_{ply}.vtu")
 
 
 def _read_summary(path: Path) -> dict[str, Any]:
@@ -368,7 +369,7 @@ def series(path: Path) -> list[tuple[float, Path]]:
 def _own_sheet(path: Path, travel: float, ply: int) -> FormedSheet:
     """Sheet in a file of this program: one of its plies."""
     with naming(path):
-        sheet = read_sheets(path)[-1].ply(ply)
+        sheet = one_of(read_sheets(path)[-1], ply)
         for where, names in NEEDED.items():
             for name in names:
                 if name not in getattr(sheet, where):

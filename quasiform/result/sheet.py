@@ -11,7 +11,7 @@ element) is left out and counted in `left_out`.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -288,51 +288,6 @@ class FormedSheet:
         surface.point_data.update(mesh.point_data)
         surface.cell_data.update(self.cell_fields)
         return surface
-
-    @classmethod
-    def of_plies(cls, plies: Sequence[FormedSheet]) -> FormedSheet:
-        """All plies in one, with the cell field `ply`, 1 first; the sheet itself of one only."""
-        if len(plies) == 1:
-            return plies[0]
-        starts = np.cumsum([0, *(len(ply.places) for ply in plies)])
-        number = [np.full(len(ply.triangles), k) for k, ply in enumerate(plies, 1)]
-        joint = {
-            field: {
-                name: np.concatenate([getattr(ply, field)[name] for ply in plies])
-                for name in getattr(plies[0], field)
-                if all(name in getattr(ply, field) for ply in plies)
-            }
-            for field in ("point_fields", "cell_fields")
-        }
-        return cls(
-            np.vstack([ply.points for ply in plies]),
-            np.vstack([ply.triangles + n for ply, n in zip(plies, starts[:-1], strict=True)]),
-            np.vstack([ply.flat for ply in plies]),
-            joint["point_fields"],
-            joint["cell_fields"] | {"ply": np.concatenate(number).astype(float)},
-            travel=plies[0].travel,
-        )
-
-    def ply(self, number: int) -> FormedSheet:
-        """One ply of several, by the cell field `ply`; InputError if there is none of that number.
-
-        A sheet without that field is the first and only one.
-        """
-        numbers = np.ravel(self.cell_fields.get("ply", np.ones(len(self.triangles))))
-        own = numbers == number
-        if not own.any():
-            raise InputError(f"no ply {number}: there are {int(numbers.max(initial=1))}")
-        if own.all():
-            return self
-        used, triangles = np.unique(self.triangles[own], return_inverse=True)
-        return replace(
-            self,
-            points=self.points[used],
-            triangles=triangles.reshape(-1, 3),
-            flat=None if self.flat is None else self.flat[used],
-            point_fields={name: values[used] for name, values in self.point_fields.items()},
-            cell_fields={name: values[own] for name, values in self.cell_fields.items()},
-        )
 
     def write(self, path: str | Path) -> None:
         """Write a file that ParaView and meshio open; its ending tells the format (.vtu)."""
