@@ -15,6 +15,7 @@ from quasiform.energy.friction import STICK
 from quasiform.energy.membrane import Membrane
 from quasiform.energy.plies import PlyContact, PlyFriction
 from quasiform.energy.weight import GRAVITY, SheetWeight, ToolWeight
+from quasiform.recipe import Recipe
 from quasiform.result.assumed import assumed
 from quasiform.result.record import Record
 from quasiform.scenes.fabric_tests import hanging_strip
@@ -269,7 +270,10 @@ def test_a_ply_that_is_not_covered_meets_the_punch_too():
 
 
 def test_a_coefficient_between_plies_that_is_not_given_is_assumed():
-    assert "plies 2.friction" in assumed(stacked([0, 45]))
+    model = stacked([0, 45])
+    assert "plies 2.friction" in assumed(model)
+    again = Recipe.read(model.recipe.written()).build()
+    assert assumed(again) == assumed(model)
     given = {"orientation": 45.0, "friction": {"value": 0.2, "standing": "measured"}}
     model = stacked([0, given])
     assert model.parameters["standings"]["plies 2.friction"] == "measured"

@@ -194,6 +194,8 @@ def spoken(quantity: str) -> str:
     --------
     >>> spoken("area_pink_deg"), spoken("draw_in_+x_mm")
     ('the mean shear angle of area pink', 'the draw-in at +x')
+    >>> spoken("ply_2_shear_angle_deg"), spoken("slip_1_2_mm")
+    ('the shear angle (p99) of ply 2', 'the slip between plies 1 and 2')
     """
     known = {
         "force_N": "the force",
@@ -201,6 +203,12 @@ def spoken(quantity: str) -> str:
         "shear_angle_deg": "the shear angle (p99)",
         "shear_angle_mean_deg": "the mean shear angle",
     }
+    if quantity.startswith("ply_"):
+        _, number, own = quantity.split("_", 2)
+        return f"{spoken(own)} of ply {number}"
+    if quantity.startswith("slip_"):
+        _, above, below, _ = quantity.split("_")
+        return f"the slip between plies {above} and {below}"
     kind, _, place = quantity.rpartition("_")[0].replace("draw_in", "draw-in").partition("_")
     what = {"area": "mean shear angle of area", "draw-in": "draw-in at"}
     return known.get(quantity) or f"the {what.get(kind, kind)} {place}"

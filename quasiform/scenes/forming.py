@@ -198,7 +198,8 @@ def formed_between_tools(
     parameters |= {"orientation": orientation, "law": fabric.name, "size": size, "travel": travel}
     parameters |= {"symmetry": symmetry, "fabric": asdict(fabric), "standings": file.standings}
     if file.plies:
-        parameters["standings"] |= dict.fromkeys(stack.assumed_frictions(file), "assumed")
+        frictions = dict.fromkeys(stack.assumed_frictions(file), "assumed")
+        parameters["standings"] = {**file.standings, **frictions}
         parameters["plies"] = stack.written(layers)
     model = Model(
         name=f"{file.name}-{orientation:g}",
