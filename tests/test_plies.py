@@ -307,6 +307,16 @@ def test_what_is_not_possible_with_plies():
         stacked([0, 45], overrides=support)
 
 
+def test_plies_of_like_directions_need_twice_the_force_of_one():
+    """Their nets are formed alike; the holder's weight, and so a part of the friction, is one."""
+    stack = qf.solve(stacked([0, 90], 15.0, 25.0), estimate=False)
+    alone = qf.solve(qf.forming("hemisphere", size=15.0, travel=25.0), estimate=False)
+    assert stack.certified.converged
+    assert 1.8 < stack.force / alone.force < 2.0
+    assert stack.draw_in == pytest.approx(alone.draw_in, abs=0.05)
+    assert_allclose(*(ply.shear_angle.max() for ply in stack.plies), rtol=0.05)
+
+
 # Results
 
 
