@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -12,10 +12,11 @@ from .checks import force_column
 from .energy.contact import Contact, surrounds
 from .energy.friction import Friction
 from .energy.membrane import Membrane
+from .energy.plies import PlyContact
 from .energy.slip import SlipResistance
 from .energy.term import Term
 from .fingerprint import fingerprint
-from .net.edges import EdgePoint
+from .net.edges import EdgePoint, edge_points
 from .unknowns import Field, FloatArray, Sheet, Unknowns
 
 COLLAPSE = np.radians(85.0)
@@ -119,9 +120,25 @@ class Model:
 
     @property
     def sheet(self) -> Sheet:
-        """The sheet of a model that has one only."""
-        (only,) = self.sheets
-        return only
+        """The only sheet; of a stack of plies the first, under the punch."""
+        return self.sheets[0]
+
+    @property
+    def plies(self) -> list[Model]:
+        """The model seen with one of its sheets each; itself where it has one only."""
+        if len(self.sheets) == 1:
+            return [self]
+        views = []
+        for sheet in self.sheets:
+            terms = [term for term in self.terms if getattr(term, "sheet", sheet) is sheet]
+            edges = edge_points(sheet.whole[0])
+            views.append(replace(self, sheets=[sheet], terms=terms, edges=edges, measures={}))
+        return views
+
+    @property
+    def ply_contacts(self) -> list[PlyContact]:
+        """The contact terms between plies, two a pair."""
+        return [term for term in self.terms if isinstance(term, PlyContact)]
 
     @property
     def size(self) -> float:
@@ -152,6 +169,12 @@ class Model:
     def frictions(self) -> list[Friction]:
         """The friction terms."""
         return [term for term in self.terms if isinstance(term, Friction)]
+
+    @property
+    def ply_pairs(self) -> list[tuple[PlyContact, PlyContact]]:
+        """Both contact terms of each pair of plies, that of the upper ply first."""
+        found = self.ply_contacts if len(self.sheets) > 1 else []
+        return list(zip(found[::2], found[1::2], strict=True))
 
     def add(self, name: str, components: int, sheet: Sheet | None = None, **given: Any) -> Field:
         """Append a field, free and zero at the start, at the nodes of a sheet or without places."""
@@ -209,15 +232,13 @@ class Model:
 
     def lost(self, x: FloatArray) -> str:
         """Why a free tool no longer rests safely on the sheet; empty if it does."""
-        for contact in self.contacts:
-            tool = contact.tool
-            if not tool.tilts:
-                continue
+        tilting = {c.tool.name: c for c in self.contacts if c.tool.tilts}
+        for name, contact in tilting.items():
             tilt = np.degrees(np.abs(x[contact.tool_dofs[1:]]).max() / contact.lever)
             if tilt > MOST_TILT:
-                return f"the {tool.name} tilts by more than {MOST_TILT:g} degrees"
-            if not surrounds(contact, x):
-                return f"the sheet no longer surrounds the weight of the {tool.name}"
+                return f"the {name} tilts by more than {MOST_TILT:g} degrees"
+            if not any(surrounds(c, x) for c in self.contacts if c.tool.name == name):
+                return f"the sheet no longer surrounds the weight of the {name}"
         return ""
 
     def turned_over(self, x: FloatArray, trial: FloatArray) -> bool:

@@ -31,8 +31,14 @@ class Potential:
         self._number = np.where(free, np.cumsum(free) - 1, -1)
         self._n = int(free.sum())
         self._last = np.empty(0)
-        self._keys = np.empty(0, dtype=np.int64)
+        self._keys, self._constant = np.empty(0, dtype=np.int64), np.zeros(1)
+        self._shares: list[_Share] = []
         self._lay_out([term.stencils(s) for term, s in zip(self.terms, memory, strict=True)])
+        self._groups, self._changed = self._group(), False
+
+    def renewed(self, memory: Memory) -> Potential:
+        """The same without what stencils have left in the pattern; itself if none has changed."""
+        return Potential(self.terms, self.free, memory) if self._changed else self
 
     def follow(self, memory: Memory) -> bool:
         """Take over changed stencils; whether the pattern had to be rebuilt for them."""
@@ -41,32 +47,52 @@ class Potential:
             return False
         pattern = self.pattern
         self._lay_out(tables)
+        self._groups, self._changed = self._group(), True
         return self.pattern is not pattern
 
     def _lay_out(self, tables: list[IntArray]) -> None:
-        """Find the places of all stencils in the pattern, which grows where it lacks one."""
+        """Find the places of all stencils in the pattern, which grows where it lacks one.
+
+        Stencils that stay keep their places; a pattern that has grown has moved them.
+        """
         n = self._n
+        known = {id(share.dofs): share for share in self._shares}
         # friction has the table of its contact
-        pairs = {id(dofs): self._pairs(dofs) for dofs in tables}
-        wanted = np.concatenate([key.ravel() for key, _ in pairs.values()])
-        wanted = np.concatenate([wanted[wanted >= 0], np.arange(n) * (n + 1), self._keys])
-        wanted.sort()
-        keys = wanted[np.append(True, wanted[1:] > wanted[:-1])]
-        if len(keys) > len(self._keys):
+        pairs = {id(dofs): self._pairs(dofs) for dofs in tables if id(dofs) not in known}
+        wanted = [key.ravel() for key, _ in pairs.values()]
+        own = np.empty(0, dtype=np.int64) if self._shares else np.arange(n) * (n + 1)
+        wanted = np.unique(np.concatenate([*(key[key >= 0] for key in wanted), own]))
+        places = np.searchsorted(self._keys, wanted)
+        missing = wanted[~_holds(self._keys, wanted, places)]
+        slots = {of: share.slots for of, share in known.items()}
+        if len(missing) or not self._shares:
+            keys = np.union1d(self._keys, missing)
+            moved = np.append(np.searchsorted(keys, self._keys), len(keys)).astype(np.int32)
+            for of, old in slots.items():
+                slots[of] = np.where(old < 0, ~moved[np.where(old < 0, ~old, 0)], moved[old])
+            constant = np.zeros(len(keys) + 1)
+            constant[moved] = self._constant
             indptr = np.searchsorted(keys, np.arange(n + 1) * n)
-            self._keys = keys
+            self._keys, self._constant = keys, constant
             self.pattern = csr_array((np.zeros(len(keys)), keys % n, indptr), shape=(n, n))
-        places = {of: self._slots(*pair) for of, pair in pairs.items()}
-        self._shares = [_Share(dofs, places[id(dofs)]) for dofs in tables]
-        self._constant, at_rest = np.zeros(len(keys) + 1), np.zeros(len(self.free))
-        groups: dict[Any, list[int]] = {}
-        for i, (term, share) in enumerate(zip(self.terms, self._shares, strict=True)):
+        slots |= {of: self._slots(*pair) for of, pair in pairs.items()}
+        first = not self._shares
+        self._shares = [_Share(dofs, slots[id(dofs)]) for dofs in tables]
+        if not first:
+            return
+        self._constant, at_rest = np.zeros(len(self._keys) + 1), np.zeros(len(self.free))
+        for term, share in zip(self.terms, self._shares, strict=True):
             if term.quadratic:
                 term.add_hessian(self._constant, at_rest, None, False, share.slots)
-            else:
+
+    def _group(self) -> list[list[int]]:
+        """Numbers of the terms that are not quadratic, those together that go together."""
+        groups: dict[Any, list[int]] = {}
+        for i, (term, share) in enumerate(zip(self.terms, self._shares, strict=True)):
+            if not term.quadratic:
                 group = (id(share.dofs), term.together) if term.together else i
                 groups.setdefault(group, []).append(i)
-        self._groups = list(groups.values())
+        return list(groups.values())
 
     def _pairs(self, dofs: IntArray) -> tuple[IntArray, np.ndarray]:
         """Key of each pair of a stencil's unknowns, and whether the two are one unknown."""
@@ -148,3 +174,10 @@ class Potential:
                 push = (H @ moved[:, :, None])[:, :, 0]
                 load += np.bincount(share.dofs.ravel(), push.ravel(), minlength=len(x))
         return values[:-1], load[self.free]
+
+
+def _holds(keys: IntArray, wanted: IntArray, places: IntArray) -> np.ndarray:
+    """Whether keys, sorted, hold each that is wanted, which would be put at these places."""
+    if not len(keys):
+        return np.zeros(len(wanted), dtype=bool)
+    return keys[np.minimum(places, len(keys) - 1)] == wanted

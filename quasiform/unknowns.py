@@ -83,10 +83,11 @@ class Unknowns:
         own = self.add(name, dim, **given, positions=True)
         return Sheet(name, blank, fabric, own, turn)
 
-    def start(self, sheet: Sheet) -> tuple[FloatArray, np.ndarray, FloatArray]:
-        """Start of a model with its sheet flat, nothing fixed and nothing driven; (n_dofs,)."""
+    def start(self, *sheets: Sheet) -> tuple[FloatArray, np.ndarray, FloatArray]:
+        """Start of a model with its sheets flat, nothing fixed and nothing driven; (n_dofs,)."""
         x0 = np.zeros(self.size)
-        x0[sheet.dofs[:, :2]] = sheet.blank.nodes
+        for sheet in sheets:
+            x0[sheet.dofs[:, :2]] = sheet.blank.nodes
         return x0, np.zeros(self.size, dtype=bool), np.zeros(self.size)
 
     @property

@@ -650,6 +650,7 @@ def plot(
         about("Some of shear_angle, fibres, outline, ... (all)."),
     ] = None,
     travel: Annotated[Length | None, about("Show the states nearest to it (the last).")] = None,
+    ply: Annotated[Count, about("Of stacks, from the punch down.")] = 1,
     scale: Annotated[
         Degrees | None, about("End of the colour scale (above all shear and locking angles).")
     ] = None,
@@ -667,7 +668,7 @@ def plot(
 
     if not folders:
         raise InputError("plot: expected the folder of a result, DIR")
-    runs = [Record.read(folder) for folder in folders]
+    runs = [Record.read(folder, ply) for folder in folders]
     if travel is not None:
         runs = [run.near(travel) for run in runs]
     rows = pictures.table(runs)
@@ -692,6 +693,7 @@ def view(
     /,
     *,
     travel: Annotated[Length | None, about("Show the state nearest to it (the last).")] = None,
+    ply: Annotated[Count, about("Of a stack, from the punch down.")] = 1,
     open: Annotated[bool, about("Open the page in the browser.")] = False,
     summary: Annotated[
         bool, about("One page to read instead, HTML and PDF, for somebody who did not run it.")
@@ -707,7 +709,7 @@ def view(
     from ..draw import page, view
     from ..result.record import Record
 
-    run = Record.read(folder)
+    run = Record.read(folder, ply)
     if travel is not None:
         run = run.near(travel)
     name = _case(run.name) + "-summary" * summary

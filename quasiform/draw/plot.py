@@ -95,6 +95,9 @@ def save_pictures(run: Record, folder: str | Path) -> None:
         warnings.filterwarnings("ignore", message="Glyph")  # a name with letters the font lacks
         for name, picture in draw.items():
             picture(run).savefig(Path(folder) / f"{name}.png", dpi=DPI)
+        for ply in range(2, 1 + len(run.summary.get("plies", ()))):
+            name = f"shear_angle_ply_{ply}.png"
+            sheet_figure(run.of_ply(ply)).savefig(Path(folder) / name, dpi=DPI)
 
 
 def sheet_figure(run: Record) -> Figure:

@@ -259,7 +259,7 @@ def second_derivative(
     """
     u, v, H = y[:, 2], y[:, 3], np.zeros((len(y), 12, 12))
     # derivative of m = u x v: δm = -[v]x δu + [u]x δv, and of κ by it
-    M = np.concatenate([-_skew(v), _skew(u)], axis=2)
+    M = np.concatenate([-skew(v), skew(u)], axis=2)
     P = (np.eye(3) - n[:, :, None] * n[:, None, :]) / length[:, None, None]
     for f in (0, 1):
         mixed = w[:, f, None, None] * (P @ M)
@@ -269,8 +269,8 @@ def second_derivative(
     nQ = n[:, :, None] * Q[:, None, :]
     mm = -(nQ + nQ.transpose(0, 2, 1) + (w * kappa).sum(1)[:, None, None] * P)
     H[:, 6:, 6:] = M.transpose(0, 2, 1) @ (mm / length[:, None, None]) @ M
-    H[:, 6:9, 9:] -= _skew(Q)
-    H[:, 9:, 6:9] += _skew(Q)
+    H[:, 6:9, 9:] -= skew(Q)
+    H[:, 9:, 6:9] += skew(Q)
     return H
 
 
@@ -302,7 +302,7 @@ def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
     return out
 
 
-def _skew(w: FloatArray) -> FloatArray:
+def skew(w: FloatArray) -> FloatArray:
     """(n, 3, 3) matrices [w]x with [w]x a = w x a."""
     S = np.zeros((len(w), 3, 3))
     S[:, 0, 1], S[:, 0, 2], S[:, 1, 2] = -w[:, 2], w[:, 1], -w[:, 0]

@@ -421,14 +421,17 @@ class Contact(AtPoints):
         return float(np.sqrt(2.0 * self.blend * force / (self.compaction * area)))
 
     def _law(self, p: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """φ, φ', φ'' of the penetration."""
-        k, e = self.compaction, self.blend
-        p = np.maximum(p, 0.0)
-        blend = p < e
-        value = np.where(blend, p * p**2 / (6 * e), p**2 / 2 - e * p / 2 + e**2 / 6)
-        first = np.where(blend, p**2 / (2 * e), p - e / 2)
-        second = np.where(blend, p / e, 1.0)
-        return k * value, k * first, k * second
+        return compaction_law(p, self.compaction, self.blend)
+
+
+def compaction_law(p: FloatArray, k: float, e: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """φ, φ', φ'' of penetrations (m,), mm."""
+    p = np.maximum(p, 0.0)
+    blend = p < e
+    value = np.where(blend, p * p**2 / (6 * e), p**2 / 2 - e * p / 2 + e**2 / 6)
+    first = np.where(blend, p**2 / (2 * e), p - e / 2)
+    second = np.where(blend, p / e, 1.0)
+    return k * value, k * first, k * second
 
 
 def _turn(tilt: float, lever: float, i: int, j: int) -> list[FloatArray]:

@@ -51,6 +51,10 @@ class Friction(AtPoints):
         self.stick = STICK * contact.compaction * contact.area
         self._last: tuple[FloatArray, Rubbing, Acting] | None = None
 
+    def relative(self, x: FloatArray, state: Rubbing) -> FloatArray:
+        """(m, 3) positions of the points in the tool's frame, mm."""
+        return self.contact.relative(x)
+
     def initial(self, x: FloatArray) -> Rubbing:
         """Points that touch at x are anchored where they are."""
         points, p = self.contact.relative(x), self.contact.penetration(x)
@@ -125,7 +129,8 @@ class Friction(AtPoints):
     def dissipated(self, before: Rubbing, after: Rubbing, x: FloatArray) -> float:
         """Work of the friction forces by the trapezoidal rule, less what elastic stick stores."""
         force = [self._force(state.points, state) for state in (before, after)]
-        work = (0.5 * (force[0] + force[1]) * (after.points - before.points)).sum()
+        moved = self.relative(x, before) - before.points
+        work = (0.5 * (force[0] + force[1]) * moved).sum()
         stored = [self._energy(state.points, state).sum() for state in (before, after)]
         return float(work - (stored[1] - stored[0]))
 
@@ -147,11 +152,11 @@ class Friction(AtPoints):
 
     def slide(self, x: FloatArray, state: Rubbing) -> float:
         """Longest way of a point along the tool from its anchor, mm."""
+        points = self.relative(x, state)
         if self.kernels:
-            given = state.anchor, state.normal
-            return self.kernels.longest_slide(self.contact.relative(x), *given)
+            return self.kernels.longest_slide(points, state.anchor, state.normal)
         rows = np.flatnonzero(~np.isnan(state.anchor[:, 0]))
-        return float(self._slide(self.contact.relative(x), state, rows)[1].max(initial=0.0))
+        return float(self._slide(points, state, rows)[1].max(initial=0.0))
 
     def stuck(self, state: Rubbing) -> Rubbing:
         """State in which no point that touches can slip."""
@@ -182,7 +187,7 @@ class Friction(AtPoints):
 
     def force(self, x: FloatArray, state: Rubbing) -> FloatArray:
         """(m, 3) gradient by the position in the tool's frame, N."""
-        return self._force(self.contact.relative(x), state)
+        return self._force(self.relative(x, state), state)
 
     def acting(self, x: FloatArray, state: Rubbing) -> Acting:
         points, last = self.contact.relative(x), self._last

@@ -76,6 +76,8 @@ def abaqus_deck(
     InputError
         For bad numbers, or a file that cannot be written.
     """
+    if len(model.sheets) > 1:
+        raise InputError("a deck of several plies is not possible")
     path, blank = Path(path), model.sheet.blank
     check_number("speed", speed)
     check_number("spacing", 1.0 if spacing is None else spacing)

@@ -8,7 +8,14 @@ import numpy as np
 
 from ..checks import number
 from ..model import Model
-from .measures import LIFTED, bent_radius, chord_penetration, max_penetration
+from .measures import (
+    LIFTED,
+    bent_radius,
+    chord_penetration,
+    left_out_penetration,
+    max_penetration,
+    max_ply_penetration,
+)
 from .outcome import Outcome
 from .stability import RESOLVED
 
@@ -47,7 +54,8 @@ class Certificate:
     figures : dict of name to float
         The numbers behind it: residual_relative, negative_pivots, energy_balance_relative,
         stabilisation_work_relative, penetration_mm, penetration_allowed_mm, fibre_chord_mm,
-        fibre_chord_allowed_mm, smallest_radius_mm, flange_lift_mm.
+        fibre_chord_allowed_mm, smallest_radius_mm, flange_lift_mm; of several plies also
+        ply_penetration_mm and slip_between_plies_1_2_mm.
 
     Examples
     --------
@@ -70,7 +78,8 @@ class Certificate:
 def certify(result: Outcome) -> Certificate:
     """Check the end of a run."""
     model, pivots = result.model, result.negative_pivots
-    x, thickness = result.states[-1].x, model.sheet.fabric.thickness
+    x, thickness = result.states[-1].x, min(s.fabric.thickness for s in model.sheets)
+    views = model.plies
     figures = {
         "residual_relative": result.residual,
         "negative_pivots": np.nan if pivots is None else float(pivots),
@@ -78,14 +87,19 @@ def certify(result: Outcome) -> Certificate:
         "stabilisation_work_relative": result.stabilisation,
         "penetration_mm": max_penetration(model, x),
         "penetration_allowed_mm": PENETRATION * thickness,
-        "fibre_chord_mm": chord_penetration(model, x, fibres=True),
+        "fibre_chord_mm": max(chord_penetration(view, x, fibres=True) for view in views),
         "fibre_chord_allowed_mm": CHORD * thickness,
-        "smallest_radius_mm": bent_radius(model, x),
+        "smallest_radius_mm": min(bent_radius(view, x) for view in views),
         "flange_lift_mm": result.flange_lift,
     }
+    between, outside = max_ply_penetration(model, x), left_out_penetration(model, x)
+    if model.ply_pairs:
+        slips = result.slip_between_plies
+        figures["ply_penetration_mm"] = between
+        figures |= {f"slip_between_plies_{name}_mm": slip for name, slip in slips.items()}
     depth, allowed = figures["penetration_mm"], figures["penetration_allowed_mm"]
     chord, radius = figures["fibre_chord_mm"], figures["smallest_radius_mm"]
-    size = model.sheet.blank.size
+    size = max(sheet.blank.size for sheet in model.sheets)
     given, own = result.settings.get("increment"), model.increment
     starts = {name: result.spread.get(name, ROBUST) for name in result.quantities}
     scattered = [name for name, entry in starts.items() if entry["judged"] > entry["robust"]]
@@ -102,6 +116,10 @@ def certify(result: Outcome) -> Certificate:
     }
     doubtful = {
         f"penetration {depth:.4f} mm at a node, {allowed:.4f} allowed": depth > allowed,
+        f"plies penetrate each other by {between:.4f} mm, {allowed:.4f} allowed": between > allowed,
+        f"a ply penetrates by {outside:.4f} mm a tool that the model keeps it from": (
+            outside > allowed
+        ),
         f"a fibre cuts {chord:.2f} mm into a tool, {CHORD * thickness:.2f} allowed": (
             chord > CHORD * thickness
         ),
@@ -115,7 +133,7 @@ def certify(result: Outcome) -> Certificate:
         f"a perturbed start found a state with {result.lower:.3g} mJ less": (
             result.lower > LOWER * abs(result.energy)
         ),
-        WRINKLED: not result.spread and wrinkled(result),
+        WRINKLED: not result.spread and any(map(wrinkled, result.plies)),
     }
     checks = {"stopped early": bool(result.reason)} | unsolved | doubtful
     reasons = tuple(words for words, so in checks.items() if so)
@@ -176,6 +194,8 @@ def spoken(quantity: str) -> str:
     --------
     >>> spoken("area_pink_deg"), spoken("draw_in_+x_mm")
     ('the mean shear angle of area pink', 'the draw-in at +x')
+    >>> spoken("ply_2_shear_angle_deg"), spoken("slip_1_2_mm")
+    ('the shear angle (p99) of ply 2', 'the slip between plies 1 and 2')
     """
     known = {
         "force_N": "the force",
@@ -183,6 +203,12 @@ def spoken(quantity: str) -> str:
         "shear_angle_deg": "the shear angle (p99)",
         "shear_angle_mean_deg": "the mean shear angle",
     }
+    if quantity.startswith("ply_"):
+        _, number, own = quantity.split("_", 2)
+        return f"{spoken(own)} of ply {number}"
+    if quantity.startswith("slip_"):
+        _, above, below, _ = quantity.split("_")
+        return f"the slip between plies {above} and {below}"
     kind, _, place = quantity.rpartition("_")[0].replace("draw_in", "draw-in").partition("_")
     what = {"area": "mean shear angle of area", "draw-in": "draw-in at"}
     return known.get(quantity) or f"the {what.get(kind, kind)} {place}"
@@ -204,16 +230,9 @@ def _not_reported(model: Model, quantity: str) -> float:
 
 def trust(result: Outcome) -> list[str]:
     """What limits the numbers of a run, one sentence each, the worst first."""
-    model = result.model
-    largest, known = np.abs(result.shear_angle).max(), model.sheet.fabric.shear_range
-    areas, doubts = result.blank.areas / result.blank.areas.sum(), result.sheet.doubts()
-    found = []
-    if largest > known:
-        share = 100 * areas @ doubts["beyond_identified_range"]
-        found.append(
-            f"the largest shear angle is {largest:.1f}°, the law was tested to {known:g}° "
-            f"({number(share, 2)} % of the area is beyond)"
-        )
+    plies = result.plies
+    names = [f"ply {k}: " if len(plies) > 1 else "" for k in range(1, len(plies) + 1)]
+    found = [start + line for start, ply in zip(names, plies, strict=True) for line in _tested(ply)]
     errors = {
         name: (error, value)
         for name, value in result.quantities.items()
@@ -235,6 +254,37 @@ def trust(result: Outcome) -> list[str]:
                 f"{spoken(name)} depends on in_plane_bending (assumed): {number(value)} with {r}, "
                 f"{number(changed)}{unit(name)} with {other}"
             )
+    found += [
+        start + line for start, ply in zip(names, plies, strict=True) for line in _doubts(ply)
+    ]
+    if many := one_of_many(result):
+        found.append(f"one of many states: {many}")
+    return found
+
+
+def _shares(result: Outcome) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Shares of the triangles of a ply in its area, and its doubts."""
+    return result.blank.areas / result.blank.areas.sum(), result.sheet.doubts()
+
+
+def _tested(result: Outcome) -> list[str]:
+    """Whether the shear law of a ply was tested as far as it is sheared."""
+    largest = np.abs(result.shear_angle).max()
+    known = result.model.sheet.fabric.shear_range
+    if largest <= known:
+        return []
+    areas, doubts = _shares(result)
+    share = 100 * areas @ doubts["beyond_identified_range"]
+    return [
+        f"the largest shear angle is {largest:.1f}°, the law was tested to {known:g}° "
+        f"({number(share, 2)} % of the area is beyond)"
+    ]
+
+
+def _doubts(result: Outcome) -> list[str]:
+    """Where the shear angle of a ply may be wrong."""
+    model, found = result.model, list[str]()
+    areas, doubts = _shares(result)
     if model.slip and doubts["rovings_may_slip"].any():
         farthest = np.linalg.norm(result.states[-1].x[model.slip.dofs], axis=1).max()
         share = 100 * areas @ doubts["rovings_may_slip"]
@@ -248,6 +298,4 @@ def trust(result: Outcome) -> list[str]:
             shown = RESOLVED * result.blank.size
             words = LIMITED[reason].format(shown=shown)
             found.append(f"{100 * share:.0f} % of the area is {words}")
-    if many := one_of_many(result):
-        found.append(f"one of many states: {many}")
     return found

@@ -14,6 +14,7 @@ from filelock import FileLock, Timeout
 from ..checks import InputError
 
 INCREMENTS = "increment_*.vtu"
+OF_PLIES = ("ply_*.vtu", "shear_angle_ply_*.png")
 LOCK = ".lock"
 RESUME = "resume.npz"
 PICTURES = ("shear_angle.png", "history.png", "doubt.png")
@@ -134,7 +135,8 @@ def added(folder: Path, *, instead: Sequence[str] = ()) -> Iterator[Path]:
 
 def _existing(folder: Path, names: Sequence[str]) -> list[Path]:
     named = [folder / name for name in names if (folder / name).exists()]
-    return named + (sorted(folder.glob(INCREMENTS)) if names is FILES else [])
+    more = (INCREMENTS, *OF_PLIES) if names is FILES else ()
+    return named + [path for pattern in more for path in sorted(folder.glob(pattern))]
 
 
 @contextmanager

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..energy.bending import Bending
-from ..energy.contact import moment
+from ..energy.contact import Contact, moment
 from ..energy.slip import Slipped
 from ..model import COLLAPSE, Model
 from ..net.blank import Blank
@@ -125,6 +125,9 @@ def formed(
         **slipping,
         "doubt": sum(2**bit * doubts[name].astype(float) for bit, name in enumerate(DOUBTS)),
     }
+    for contact in model.ply_contacts:
+        slid = np.nan_to_num(contact.slid(model.x0, x))[node]
+        at_nodes[f"slip_on_{contact.other.name.replace(' ', '_')}"] = slid
     return replace(bare, point_fields=at_nodes | at_slip, cell_fields=fields)
 
 
@@ -227,6 +230,23 @@ def wrinkles(model: Model, x: FloatArray) -> dict[str, float | None]:
 def max_penetration(model: Model, x: FloatArray) -> float:
     """Deepest penetration into a tool at the contact points, mm."""
     return max([0.0, *(float(contact.penetration(x).max()) for contact in model.contacts)])
+
+
+def max_ply_penetration(model: Model, x: FloatArray) -> float:
+    """Deepest penetration of plies into each other at their nodes, mm; 0 of one sheet."""
+    found = (c.penetration(x, c.pairs(x)).max() for pair in model.ply_pairs for c in pair)
+    return max([0.0, *map(float, found)])
+
+
+def left_out_penetration(model: Model, x: FloatArray) -> float:
+    """Deepest penetration of a ply into a tool from which others should keep it, mm."""
+    deepest, tools = 0.0, {c.tool.name: c for c in model.contacts}
+    for sheet in model.sheets:
+        met = {c.tool.name for c in model.contacts if c.sheet is sheet}
+        for name in tools.keys() - met:
+            contact = Contact(sheet, tools[name].tool, tools[name].tool_dofs)
+            deepest = max(deepest, float(contact.penetration(x).max()))
+    return deepest
 
 
 def chord_penetration(model: Model, x: FloatArray, fibres: bool = False) -> float:

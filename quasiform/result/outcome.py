@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from ..energy.plies import pair_name, slip_between
 from ..model import Model
 from ..net.blank import Blank
 from ..net.edges import disc
 from ..net.transfer import interpolated
 from . import measures
+from .plies import in_one
 from .sheet import FormedSheet
 
 FloatArray = np.ndarray
@@ -83,6 +86,23 @@ class Outcome:
         """Return "completed" or "stopped"."""
         return "stopped" if self.reason else "completed"
 
+    @cached_property
+    def plies(self) -> list[Outcome]:
+        """The run seen with one ply each, from the punch down; itself where there is one only."""
+        views = self.model.plies
+        if len(views) == 1:
+            return [self]
+        own = [self.shear_angle_error, *[None] * (len(views) - 1)]
+        return [
+            replace(self, model=view, shear_angle_error=error)
+            for view, error in zip(views, own, strict=True)
+        ]
+
+    @cached_property
+    def first(self) -> Model:
+        """The model seen with its first ply, of which the fields are."""
+        return self.model.plies[0]
+
     @property
     def blank(self) -> Blank:
         """The whole flat blank in the user's axes (mirrored where a part was modelled)."""
@@ -134,7 +154,7 @@ class Outcome:
 
     def shear_angles(self, state: int = -1) -> FloatArray:
         """(n_triangles,) signed shear angle of the whole sheet, degrees."""
-        return measures.shear_angle(self.model, self.states[state].x)
+        return measures.shear_angle(self.first, self.states[state].x)
 
     @property
     def shear_angle(self) -> FloatArray:
@@ -145,12 +165,16 @@ class Outcome:
         """Formed sheet of a state, with the fields by triangle and by node."""
         now, end = self.states[state], state in (-1, len(self.states) - 1)
         error = self.shear_angle_error if end else None
-        return measures.formed(self.model, now.x, now.travel, error)
+        return measures.formed(self.first, now.x, now.travel, error)
 
     @property
     def sheet(self) -> FormedSheet:
-        """Formed sheet at the end."""
+        """Formed sheet at the end; of a stack the first ply."""
         return self.sheet_at()
+
+    def stack_at(self, state: int = -1) -> FormedSheet:
+        """All plies of a state in one formed sheet with the field `ply`; the sheet if it is one."""
+        return in_one([ply.sheet_at(state) for ply in self.plies])
 
     @property
     def flange_lift(self) -> float:
@@ -163,7 +187,7 @@ class Outcome:
 
         The waves of each family of fibres off punch and die: how many lines, their wavelength (mm).
         """
-        found = measures.wrinkles(self.model, self.states[-1].x)
+        found = measures.wrinkles(self.first, self.states[-1].x)
         return {"flange_lift_mm": self.flange_lift} | found
 
     def resting_tools(self) -> dict[str, dict[str, float | list[float]]]:
@@ -196,7 +220,19 @@ class Outcome:
             "shear_angle_mean_deg": float(areas @ gamma / areas.sum()),
         }
         found |= {f"area_{name}_deg": value for name, value in self.areas.items() if value}
-        return found | {f"draw_in_{name}_mm": value for name, value in self.draw_in.items()}
+        found |= {f"draw_in_{name}_mm": value for name, value in self.draw_in.items()}
+        for k, ply in enumerate(self.plies[1:], 2):
+            of_ply = {n: v for n, v in ply.quantities.items() if n != self.model.force_name}
+            found |= {f"ply_{k}_{name}": value for name, value in of_ply.items()}
+        return found | {f"slip_{name}_mm": slip for name, slip in self.slip_between_plies.items()}
+
+    @property
+    def slip_between_plies(self) -> dict[str, float]:
+        """99th percentile of the slip between two plies at the end, mm, by their numbers (1_2)."""
+        ends = self.model.x0, self.states[-1].x
+        return {
+            pair_name(pair): slip_between(ends[0], pair, ends[1]) for pair in self.model.ply_pairs
+        }
 
     def shear_angle_at(self, points: FloatArray) -> FloatArray:
         """(n,) shear angle at (n, 2) points of the flat sheet, degrees; beyond it, the nearest."""

@@ -20,6 +20,7 @@ import numpy as np
 
 from ..checks import FORMAT, InputError, force_column, naming
 from .files import SCENE
+from .plies import one_of
 from .sheet import FormedSheet, read_sheets
 
 if TYPE_CHECKING:
@@ -64,6 +65,8 @@ class Record:
         What was solved; None for a run read from its folder.
     gripped : (n,) bool array or None
         Nodes of the last sheet that are held in all directions.
+    stacks : Sheets or None
+        All plies of each travel in one sheet, where there are several: what is written.
     """
 
     summary: dict[str, Any]
@@ -72,12 +75,13 @@ class Record:
     folder: Path | None = None
     model: Model | None = field(default=None, repr=False)
     gripped: np.ndarray | None = field(default=None, repr=False)
+    stacks: Sheets | None = field(default=None, repr=False)
 
     @classmethod
-    def read(cls, folder: str | Path) -> Record:
+    def read(cls, folder: str | Path, ply: int = 1) -> Record:
         """Read the folder of a run; a mesh is read when it is asked for.
 
-        InputError names the file and its defect.
+        Of a stack the sheets are those of one ply. InputError names the file and its defect.
         """
         folder = Path(folder)
         if not folder.is_dir():
@@ -85,7 +89,7 @@ class Record:
         summary = _read_summary(folder / "summary.json")
         files = sheet_files(folder)
         travels = [summary["reached_mm"] if s is None else s for s, _ in files]
-        sheets = Sheets(travels, lambda k: _own_sheet(files[k][1], travels[k]))
+        sheets = Sheets(travels, lambda k: _own_sheet(files[k][1], travels[k], ply))
         return cls(summary, _read_history(folder / "history.csv"), sheets, folder)
 
     @classmethod
@@ -250,6 +254,14 @@ class Record:
         locks = onset is not None and shear.get("C_lo") and 0 < onset < 1
         return float(np.degrees(np.arcsin(onset))) if locks else None
 
+    def of_ply(self, ply: int) -> Record:
+        """Return the run with the sheets of another ply; InputError if there is none."""
+        if self.folder is not None:
+            return Record.read(self.folder, ply)
+        stacks = self.stacks or self.sheets
+        sheets = Sheets(stacks.travels, lambda k: one_of(stacks[k], ply))
+        return replace(self, sheets=sheets, gripped=None)
+
     def upto(self, state: int) -> Record:
         """Return the run up to one of its sheets."""
         count = range(len(self.sheets))[state] + 1
@@ -264,7 +276,7 @@ class Record:
 
         Sheets along the travel are written from number `since` on; without `increments` none.
         """
-        folder, end = Path(folder), self.sheets[-1]
+        folder, end, stacks = Path(folder), self.sheets[-1], self.stacks or self.sheets
         summary = json.dumps(self.summary, indent=2, allow_nan=False, default=np.generic.item)
         (folder / "summary.json").write_text(summary + "\n", encoding="utf-8")
         columns = np.column_stack(list(self.history.values()))
@@ -277,13 +289,16 @@ class Record:
         for number, travel in enumerate(self.sheets.travels if increments else ()):
             name = f"increment_{number:04d}.vtu"
             if number >= since:
-                self.sheets[number].write(folder / name)
+                stacks[number].write(folder / name)
             ET.SubElement(series, "DataSet", timestep=f"{travel:.8g}", part="0", file=name)
         ET.ElementTree(collection).write(folder / "result.pvd", xml_declaration=True)
+        whole = stacks[-1]
         if increments and since < len(self.sheets):  # the last one is the end
             copyfile(folder / name, folder / "result.vtu")
         else:
-            end.write(folder / "result.vtu")
+            whole.write(folder / "result.vtu")
+        for ply in range(1, 1 + len(self.summary.get("plies", ()))):
+            one_of(whole, ply).write(folder / f"ply_{ply}.vtu")
 
 
 def _read_summary(path: Path) -> dict[str, Any]:
@@ -355,10 +370,10 @@ def series(path: Path) -> list[tuple[float, Path]]:
     return sorted(found, key=lambda entry: entry[0])
 
 
-def _own_sheet(path: Path, travel: float) -> FormedSheet:
-    """Sheet in a file of this program."""
+def _own_sheet(path: Path, travel: float, ply: int) -> FormedSheet:
+    """Sheet in a file of this program: one of its plies."""
     with naming(path):
-        sheet = read_sheets(path)[-1]
+        sheet = one_of(read_sheets(path)[-1], ply)
         for where, names in NEEDED.items():
             for name in names:
                 if name not in getattr(sheet, where):

@@ -161,6 +161,8 @@ class Result(Outcome):
             converged, or the sheet jumped or buckled on the way.
         """
         run = self.path or self
+        if len(self.plies) > 1:
+            raise InputError("no sensitivities with several plies")
         if run.track is None:
             raise InputError("no sensitivities: this result holds no increments")
         return run.track.sensitivity(run, parameters, outputs)
@@ -208,8 +210,8 @@ class Result(Outcome):
 
     @property
     def sheets(self) -> dict[str, FormedSheet]:
-        """Formed sheets at the end by name."""
-        return {sheet.name: sheet for sheet in (self.sheet,)}
+        """Formed sheets at the end by name: `sheet`, or `ply 1`, `ply 2`, ..."""
+        return {ply.model.sheet.name: ply.sheet for ply in self.plies}
 
     @property
     def gripped(self) -> np.ndarray:
@@ -223,7 +225,10 @@ class Result(Outcome):
         followed = self.followed
         travels = [run.states[i].travel for run, i in followed]
         sheets = Sheets(travels, lambda k: followed[k][0].sheet_at(followed[k][1]))
-        return Record(self.summary(), self.history, sheets, model=self.model, gripped=self.gripped)
+        more: dict[str, Any] = {"model": self.model, "gripped": self.gripped}
+        if len(self.plies) > 1:
+            more["stacks"] = Sheets(travels, lambda k: followed[k][0].stack_at(followed[k][1]))
+        return Record(self.summary(), self.history, sheets, **more)
 
     def save(self, out: str | Path, *, force: bool = False, pictures: bool | None = None) -> Path:
         """Write summary.json, history.csv, outline.csv, result.vtu, result.pvd and the pictures.

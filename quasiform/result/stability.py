@@ -114,11 +114,13 @@ def _turning(membrane: Membrane, x: FloatArray) -> tuple[FloatArray, ...]:
 
 
 def _supported(model: Model, x: FloatArray) -> np.ndarray:
-    """(n_triangles,) bool of the modelled part: a node touches a tool, or nearly so."""
+    """(n_triangles,) bool of the modelled part: a node touches a tool or ply, or nearly so."""
     blank, least = model.sheet.blank, -CLEAR * model.sheet.fabric.thickness
     near = np.zeros(len(blank.nodes), dtype=bool)
     for contact in model.contacts:
         near[contact.points.nodes[contact.penetration(x) > least, 0]] = True
+    for contact in model.ply_contacts:
+        near |= contact.penetration(x, contact.pairs(x)) > least
     return near[blank.triangles].any(1)
 
 

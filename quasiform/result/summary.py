@@ -11,7 +11,13 @@ import numpy as np
 from ..checks import FORMAT
 from .assumed import assumed
 from .certificate import Certificate, one_of_many, trust
-from .measures import chord_penetration, max_penetration, percentile, slip_account
+from .measures import (
+    chord_penetration,
+    max_penetration,
+    max_ply_penetration,
+    percentile,
+    slip_account,
+)
 from .outcome import Outcome
 from .stability import local_waves
 
@@ -76,13 +82,19 @@ def summarise(result: Outcome, certificate: Certificate) -> dict[str, Any]:
         "doubtful_share": {
             reason: float(areas @ flag / areas.sum()) for reason, flag in sheet.doubts().items()
         },
-        "local_stability": local_waves(model, result.states[-1].x)[1],
+        "local_stability": local_waves(result.first, result.states[-1].x)[1],
     }
     if model.slip:
         state = result.memory[model.terms.index(model.slip)]
         summary["slip"] = slip_account(model, result.states[-1].x, state)
     if model.contacts:
         summary |= _between_tools(result)
+    if len(result.plies) > 1:
+        summary["plies"] = [_of_ply(ply) for ply in result.plies]
+        summary["between_plies"] = {
+            "slip_p99_mm": result.slip_between_plies,
+            "max_penetration_mm": max_ply_penetration(model, result.states[-1].x),
+        }
     return _finite(summary)
 
 
@@ -93,11 +105,33 @@ def path_errors(result: Outcome) -> dict[str, float | None]:
     return {key: result.path_gap.get(name) if result.path else 0.0 for key, name in names.items()}
 
 
+def _of_ply(ply: Outcome) -> dict[str, Any]:
+    """Key numbers of one ply of a stack."""
+    sheet = ply.model.sheet
+    gamma, areas = np.abs(ply.shear_angle), ply.blank.areas
+    strain = np.maximum(ply.sheet.cell_fields["E11"], ply.sheet.cell_fields["E22"]).max()
+    return {
+        "fabric": sheet.fabric.name,
+        "thickness_mm": sheet.fabric.thickness,
+        "nodes": len(sheet.blank.nodes),
+        "triangles": len(sheet.blank.triangles),
+        "shear_angle_deg": {
+            "max": float(gamma.max()),
+            "p99": percentile(gamma, areas, 0.99),
+            "mean": float(areas @ gamma / areas.sum()),
+        },
+        "fibre_strain_max": float(np.sqrt(2.0 * strain + 1.0) - 1.0),
+        "draw_in_mm": ply.draw_in,
+        "areas": ply.areas,
+        "wrinkles": ply.wrinkles,
+    }
+
+
 def _between_tools(result: Outcome) -> dict[str, Any]:
     model, x = result.model, result.states[-1].x
     return {
         "max_penetration_mm": max_penetration(model, x),
-        "chord_penetration_mm": chord_penetration(model, x),
+        "chord_penetration_mm": max(chord_penetration(view, x) for view in model.plies),
         "draw_in_mm": result.draw_in,
         "areas": result.areas,
         "resting_tools": result.resting_tools(),

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
+from functools import partial
 from numbers import Real
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,8 @@ from ..energy.bending import Bending, PatchBending
 from ..energy.contact import Contact, at_edges, surrounds
 from ..energy.friction import Friction
 from ..energy.membrane import membrane_of
-from ..energy.softening import bending_terms
+from ..energy.plies import pair_name, slip_between
+from ..energy.softening import Softening, bending_terms
 from ..energy.term import Term
 from ..energy.weight import GRAVITY, SheetWeight, ToolForce, ToolWeight, load_of
 from ..fabric import Fabric, fabric_of
@@ -34,12 +36,13 @@ from ..recipe import built, checksums, plain, reference
 from ..tools import tool_file
 from ..tools.shapes import Tool, turned
 from ..unknowns import Unknowns
-from . import scene_file
+from . import scene_file, stack
 from .blank_file import blank_from_file
 from .mechanics import check_mechanics
 from .room import check_clearance, mirror_planes, smallest_radius, what_resolves
 from .scene_file import SceneFile, SurfaceFile, ToolPart, check_increments
 from .slipping import let_slip
+from .stack import Layer
 from .supports import fix_supports, grips, keep_middle
 
 LEAST = 0.5  # of the default size: how fine it may be for the sake of a fillet
@@ -55,6 +58,7 @@ def forming(
     travel: float | None = None,
     symmetry: str | None = None,
     overrides: Mapping[str, Any] | None = None,
+    plies: Sequence[Any] | None = None,
 ) -> Model:
     """Forming of a blank between rigid tools.
 
@@ -77,6 +81,9 @@ def forming(
     overrides : mapping of str to value, optional
         Other values of keys of the scene, by dotted name: `{"tools.holder.mass": 8.0}`; those of
         the fabric as `fabric.friction`.
+    plies : sequence, optional
+        Layers of a stack, from the punch down: angles, degrees, or tables with the keys of
+        `[[plies]]` in a scene file. The `orientation` of the scene turns all of them.
 
     Returns
     -------
@@ -90,6 +97,8 @@ def forming(
     """
     name = scene.name if isinstance(scene, SceneFile) else str(scene)
     overrides = dict(overrides or {})
+    if plies is not None:
+        overrides["plies"] = stack.as_tables(plies)
     if law is not None and any(key.startswith("fabric.") for key in overrides):
         overrides = {"law": "locking", "fabric": fabric_of(law).written(), **overrides}
         law = None
@@ -114,10 +123,6 @@ def forming(
         raise InputError(
             f"travel must not exceed {file.travel:g} mm in this scene, got {goal:g}: "
             f"--set travel={goal:g} makes another scene"
-        )
-    if fabric.bending_warp == 0 or fabric.bending_weft == 0:
-        raise InputError(
-            "forming in space needs a bending stiffness: bending_warp or _weft is zero"
         )
     given = {"orientation": float(orientation), "travel": goal, "symmetry": symmetry}
     given |= {"file": file, "name": name, "fabric": fabric}
@@ -159,42 +164,50 @@ def formed_between_tools(
         free_mesh.check_same_size(size, like and like.size)
         own = free_mesh.own_mesh(file.mesh, orientation, file.mesh_scale)
     outline = free_mesh.outline_of(own) if own else file.outline
-    if not own and size > (largest := _shorter_side(outline) / 8):
-        raise InputError(f"size must not exceed an eighth of the blank, {largest:g}, got {size:g}")
     usual = usual_length(outline)
+    layers = stack.layers_of(file, fabric, orientation, outline)
+    _check_layers(layers, size, own)
+    outline = stack.outline_of(layers)
+    thickness = sum(layer.fabric.thickness for layer in layers)
     increments = {"largest": file.increment or usual, "rows": file.rows or usual}
     check_increments(travel, **increments)
-    from_files = like.tools[1] if like else _from_files(file, fabric, outline)
-    tools = [_tool(part, fabric, from_files.get(part.name)) for part in file.tools]
+    from_files = like.tools[1] if like else _from_files(file, thickness, outline)
+    tools = [_tool(part, layers, thickness, from_files.get(part.name)) for part in file.tools]
     for read in from_files.values():
         description += read.description(tools, outline, travel)
     description += blank_from_file(file, own, outline, tools, from_files)
     if not like:
-        check_clearance(tools, from_files, outline, fabric.thickness, travel)
+        check_clearance(tools, from_files, outline, thickness, travel)
     mirrored = like and like.tools[2]
-    mirrored = mirrored or mirror_planes(
-        file, tools, outline, orientation, travel, symmetry, fabric
-    )
+    mirrored = mirrored or _mirror_planes(file, tools, layers, travel, symmetry)
     mirror, why = mirrored
-    description += why
-    frame = orientation if mirror else 0.0
-    blank = own or _mesh(file.mesh, outline, size, frame, orientation - frame, mirror)
+    description += stack.described(layers) + why
+    frame, unknowns = layers[0].orientation if mirror else 0.0, Unknowns()
+    sheets = []
+    for layer in layers:
+        turn = layer.orientation - frame
+        blank = own or _mesh(file.mesh, layer.outline, size, frame, turn, mirror)
+        sheets.append(unknowns.sheet(blank, layer.fabric, 3, frame, layer.name))
     tools_in_frame = [_in_frame(tool, frame, blank) for tool in tools]
-    sheet = (unknowns := Unknowns()).sheet(blank, fabric, 3, frame)
     for tool in tools_in_frame:
         unknowns.add(tool.name, 3 if tool.tilts else 1)
         if len(tool.forces) > 1:
             unknowns.add(FORCE + tool.name, 1)
     if file.gravity:
         unknowns.add(FACTOR, 1)
-    x0, fixed, drive = unknowns.start(sheet)
+    x0, fixed, drive = unknowns.start(*sheets)
+    fabric = layers[0].fabric if file.plies else fabric
     parameters = {"scene": name} | ({"scene_file": file.source} if file.source else {})
     parameters |= {"orientation": orientation, "law": fabric.name, "size": size, "travel": travel}
     parameters |= {"symmetry": symmetry, "fabric": asdict(fabric), "standings": file.standings}
+    if file.plies:
+        frictions = dict.fromkeys(stack.assumed_frictions(file), "assumed")
+        parameters["standings"] = {**file.standings, **frictions}
+        parameters["plies"] = stack.written(layers)
     model = Model(
         name=f"{file.name}-{orientation:g}",
         unknowns=unknowns,
-        sheets=[sheet],
+        sheets=sheets,
         terms=[],
         x0=x0,
         fixed=fixed,
@@ -212,9 +225,9 @@ def formed_between_tools(
         tools=(tools, from_files, mirrored),
         coarsest=FINE * min((getattr(tool.shape, "sharpest", 0.0) for tool in tools), default=0.0),
     )
-    _assemble(model, file, tools_in_frame, outline)
+    _assemble(model, file, tools_in_frame, layers)
     if not like:
-        check_mechanics(file, tools, from_files, outline, fabric.thickness, travel)
+        check_mechanics(file, tools, from_files, outline, thickness, travel)
     _measure(model)
     return model
 
@@ -225,18 +238,49 @@ def _(file: SceneFile) -> dict[str, Any]:
     return {"read": reference(scene_file.read_text), "from": content}
 
 
+def _check_layers(layers: Sequence[Layer], size: float, own: Blank | None) -> None:
+    """Refuse (InputError) what a sheet in space cannot have."""
+    for layer in layers:
+        if layer.fabric.bending_warp == 0 or layer.fabric.bending_weft == 0:
+            raise InputError(
+                "forming in space needs a bending stiffness: bending_warp or _weft is zero"
+            )
+        if not own and size > (largest := _shorter_side(layer.outline) / 8):
+            words = f"must not exceed an eighth of the blank, {largest:g}, got {size:g}"
+            raise InputError(f"size {words}")
+
+
+def _mirror_planes(
+    file: SceneFile, tools: Sequence[Tool], layers: Sequence[Layer], travel: float, symmetry: str
+) -> tuple[tuple[str, ...], list[tuple[str, str]]]:
+    """Mirror planes that all layers have, and why; see `room.mirror_planes`."""
+    turns = {(layer.orientation - layers[0].orientation) % 90.0 for layer in layers}
+    if len(turns) > 1:
+        return (), [("the whole blank", "the plies have no mirror plane in common")]
+    given = layers[0].orientation, travel, symmetry, layers[0].fabric
+    found = [mirror_planes(file, tools, layer.outline, *given) for layer in layers]
+    planes, why = min(found, key=lambda entry: len(entry[0]))
+    if any(set(planes) - set(other) for other, _ in found):
+        return (), [("the whole blank", "the plies have no mirror plane in common")]
+    return planes, why
+
+
 def _from_files(
-    file: SceneFile, fabric: Fabric, outline: shapely.Polygon
+    file: SceneFile, thickness: float, outline: shapely.Polygon
 ) -> dict[str, tool_file.ToolFile]:
     return {
-        part.name: tool_file.read(part, outline, file.travel, fabric.thickness)
+        part.name: tool_file.read(part, outline, file.travel, thickness)
         for part in file.tools
         if isinstance(part.shape, SurfaceFile)
     }
 
 
-def _tool(part: ToolPart, fabric: Fabric, read: tool_file.ToolFile | None) -> Tool:
-    shape, rest = part.shape, 0.0 if part.role == "die" else fabric.thickness
+def _tool(
+    part: ToolPart, layers: Sequence[Layer], thickness: float, read: tool_file.ToolFile | None
+) -> Tool:
+    """A tool on or under the flat plies."""
+    shape, rest = part.shape, 0.0 if part.role == "die" else thickness
+    fabric = layers[-1 if part.role == "die" else 0].fabric
     if read:
         shape, rest = read.grid, read.rest
     z = rest if part.z is None else part.z
@@ -264,57 +308,92 @@ def _mesh(
     return cut(outline, size, warp, through=((0.0, 0.0),), mirror=mirror)
 
 
-def _assemble(model: Model, file: SceneFile, tools: list[Tool], outline: shapely.Polygon) -> None:
+def _assemble(model: Model, file: SceneFile, tools: list[Tool], layers: Sequence[Layer]) -> None:
     """Put energies and supports into a model."""
-    sheet = model.sheet
-    blank, fabric = sheet.blank, sheet.fabric
-    contacts = [Contact(sheet, tool, model.unknowns[tool.name].dofs) for tool in tools]
-    weights: list[Term] = _rest(model, contacts)
+    contacts = _with_tools(model, file, tools, layers)
+    weights: list[Term] = _rest(model, contacts, layers)
     for contact in contacts:
-        if (contact.penetration(model.x0) > fabric.thickness).any():
+        if (contact.penetration(model.x0) > contact.sheet.fabric.thickness).any():
             read = model.tools[1].get(contact.tool.name)
             why = read.why_inside() if read else "check its z"
             raise InputError(f"the flat blank starts inside the {contact.tool.name}: {why}")
-    for axis, plane in enumerate("xy"):
-        if plane in blank.mirror:
-            model.fixed[sheet.dofs[:, axis]] |= np.abs(blank.nodes[:, axis]) < 1e-9
-    clamped = fix_supports(model, file, outline)
-    if blank.pairs is not None:
-        model.description.append(PAIRED)
-        if clamped is not None:
-            raise InputError("clamp = true needs a mesh that follows the fibres")
-    bending = Bending(sheet, clamped) if blank.pairs is None else PatchBending(sheet)
+    outline, bent = layers[0].outline, list[Term]()
+    for sheet in model.sheets:
+        blank = sheet.blank
+        for axis, plane in enumerate("xy"):
+            if plane in blank.mirror:
+                model.fixed[sheet.dofs[:, axis]] |= np.abs(blank.nodes[:, axis]) < 1e-9
+        clamped = fix_supports(model, file, outline)
+        if blank.pairs is not None:
+            model.description.append(PAIRED)
+            if clamped is not None:
+                raise InputError("clamp = true needs a mesh that follows the fibres")
+        bending = Bending(sheet, clamped) if blank.pairs is None else PatchBending(sheet)
+        bent += bending_terms(bending)
     contacts += _between_nodes(model, contacts)
     frictions = [Friction(c) for c in contacts if c.tool.friction]
     if not frictions:
         model.description.append(("friction left out", "its coefficient is zero"))
-        keep_middle(model, file)
-    if file.gravity:
-        factor = int(model.unknowns[FACTOR].dofs[0, 0])
-        model.fixed[factor], model.x0[factor] = True, 1.0
-        weights.append(SheetWeight(sheet, 1e-6 * GRAVITY * fabric.areal_weight, factor))
-    else:
-        total = 1e-6 * fabric.areal_weight * outline.area * GRAVITY
-        resting = model.resting / model.share
-        beside = f" beside the {resting:.3g} N that rest on it" if resting else ""
-        why = f"{total:.2g} N{beside} (gravity = false)"
-        model.description.append(("weight of the sheet left out", why))
+        for sheet in model.sheets:
+            keep_middle(model, sheet, file)
+    between = stack.between_plies(model, layers) if len(layers) > 1 else []
+    weights += _sheet_weights(model, file, layers)
     model.resting += sum(g.tension for g in file.grippers)
-    model.resting += file.gravity * 1e-6 * GRAVITY * fabric.areal_weight * blank.areas.sum()
+    model.resting += sum(
+        file.gravity * 1e-6 * GRAVITY * sheet.fabric.areal_weight * sheet.blank.areas.sum()
+        for sheet in model.sheets
+    )
     pulls = grips(model, file, outline)
-    if len(bent := bending_terms(bending)) > 1:
-        model.description.append((bent[1].name, "moment_warp or moment_weft of the fabric"))
-    model.terms = [membrane_of(sheet), *bent, *contacts, *frictions, *weights, *pulls]
+    if softened := [term for term in bent if isinstance(term, Softening)]:
+        model.description.append((softened[0].name, "moment_warp or moment_weft of the fabric"))
+    membranes = [membrane_of(sheet) for sheet in model.sheets]
+    model.terms = [*membranes, *bent, *contacts, *frictions, *between, *weights, *pulls]
     let_slip(model)
 
 
-def _rest(model: Model, contacts: Sequence[Contact]) -> list[Term]:
-    """Place the tools; start at the equilibrium of resting ones, sunk in with the sheet."""
-    sheet, x0, fixed = model.sheet, model.x0, model.fixed
-    heights, t0 = sheet.dofs[:, 2], sheet.fabric.thickness
+def _with_tools(
+    model: Model, file: SceneFile, tools: list[Tool], layers: Sequence[Layer]
+) -> list[Contact]:
+    """Contact of each ply with each tool that it can touch."""
+    contacts, left_out = [], []
+    for part, tool in zip(file.tools, tools, strict=True):
+        for k, sheet in enumerate(model.sheets):
+            if len(layers) == 1 or stack.meets(layers, k, part.role):
+                contacts.append(Contact(sheet, tool, model.unknowns[tool.name].dofs))
+            else:
+                left_out.append(f"{sheet.name} with {tool.name}")
+    if left_out:
+        entry = f"contact left out: {', '.join(left_out)}"
+        model.description.append((entry, "other plies cover it"))
+    return contacts
+
+
+def _sheet_weights(model: Model, file: SceneFile, layers: Sequence[Layer]) -> list[Term]:
+    """The weights of the sheets, or why they are left out."""
+    if not file.gravity:
+        loads = (layer.fabric.areal_weight * layer.outline.area for layer in layers)
+        total, resting = 1e-6 * GRAVITY * sum(loads), model.resting / model.share
+        beside = f" beside the {resting:.3g} N that rest on it" if resting else ""
+        why = f"{total:.2g} N{beside} (gravity = false)"
+        model.description.append(("weight of the sheet left out", why))
+        return []
+    factor = int(model.unknowns[FACTOR].dofs[0, 0])
+    model.fixed[factor], model.x0[factor] = True, 1.0
+    return [
+        SheetWeight(sheet, 1e-6 * GRAVITY * sheet.fabric.areal_weight, factor)
+        for sheet in model.sheets
+    ]
+
+
+def _rest(model: Model, contacts: Sequence[Contact], layers: Sequence[Layer]) -> list[Term]:
+    """Place the tools; start at the equilibrium of resting ones, sunk in with the plies."""
+    x0, fixed, heights = model.x0, model.fixed, stack.heights(layers)
     weights, sunk = list[Term](), 0.0
+    first: dict[str, Contact] = {}
     for contact in contacts:
-        tool, dof = contact.tool, int(contact.tool_dofs[0])
+        first.setdefault(contact.tool.name, contact)
+    for contact in first.values():
+        tool, dof, sheet = contact.tool, int(contact.tool_dofs[0]), contact.sheet
         x0[dof] = tool.height
         fixed[dof] = tool.motion != "free"
         model.drive[dof] = -1.0 if tool.motion == "driven" else 0.0
@@ -323,7 +402,8 @@ def _rest(model: Model, contacts: Sequence[Contact]) -> list[Term]:
         for axis, plane in enumerate("xy"):
             if plane in sheet.blank.mirror and tool.tilts:  # only the turn in that plane remains
                 fixed[dof + 2 - axis] = True
-        x0[heights] = tool.height - 0.5 * t0
+        t0 = sheet.fabric.thickness
+        x0[sheet.dofs[:, 2]] = tool.height - 0.5 * t0
         under = contact.penetration(x0) > -1e-6 * t0
         if not under.any():
             raise InputError(f"the blank does not reach under the {tool.name}")
@@ -337,10 +417,11 @@ def _rest(model: Model, contacts: Sequence[Contact]) -> list[Term]:
         weights.append(ToolWeight(constant, dof, f"weight of the {tool.name}"))
         model.resting += load
         sunk = max(sunk, contact.depth_under(load, sheet.blank.node_areas[under].sum()))
-    x0[heights] = 0.5 * t0 - sunk
-    for contact in contacts:
+    for k, sheet in enumerate(model.sheets):
+        x0[sheet.dofs[:, 2]] = heights[k] - (len(layers) - k) * sunk
+    for contact in first.values():
         if contact.tool.motion == "free":
-            x0[contact.tool_dofs[0]] -= 2 * sunk
+            x0[contact.tool_dofs[0]] -= (len(layers) + 1) * sunk
     return weights
 
 
@@ -356,28 +437,34 @@ def _force_over_travel(model: Model, tool: Tool, dof: int) -> ToolForce:
 
 def _between_nodes(model: Model, contacts: Sequence[Contact]) -> list[Contact]:
     """Contact between nodes, for the tools whose edges are sharper than the mesh."""
-    blank = model.sheet.blank
-    edges, finest = at_edges(blank), blank.size * (1 - 1e-9)
+    size = min(sheet.blank.size for sheet in model.sheets)
+    finest = size * (1 - 1e-9)
     sharp = [c for c in contacts if getattr(c.tool.shape, "sharpest", 0.0) < finest]
     why = "no tool bends more sharply than the elements"
     if sharp:
         radii = {tool: smallest_radius(tool, model.tools[1]) for tool in (c.tool for c in sharp)}
-        why = f"a tool bends more sharply than the elements{what_resolves(radii, blank.size)}"
+        why = f"a tool bends more sharply than the elements{what_resolves(radii, size)}"
     model.description.append((f"contact at nodes{' and mid-edges' * bool(sharp)}", why))
-    return [Contact(model.sheet, c.tool, c.tool_dofs, edges) for c in sharp]
+    edges = {sheet.name: at_edges(sheet.blank) for sheet in model.sheets}
+    return [Contact(c.sheet, c.tool, c.tool_dofs, edges[c.sheet.name]) for c in sharp]
 
 
 def _measure(model: Model) -> None:
     """Set the columns of the history, and where the draw-in is measured."""
-    sheet, share = model.sheet, model.share
-    model.edges = edge_points(sheet.whole[0])
+    share = model.share
+    model.edges = edge_points(model.sheet.whole[0])
     resting = [c for c in model.contacts if c.tool.motion == "free"]
-    model.measures = {
-        "holder_force_N": lambda x: float(
-            -sum(c.gradient(x)[:, c.height_column].sum() for c in resting) / share
-        ),
-        "shear_angle_max_deg": model.membrane.largest_shear_angle,
-        "draw_in_mm": lambda x: float(
-            np.mean([e.draw_in(sheet.whole_positions(x)) for e in model.edges.values()])
-        ),
-    }
+    model.measures["holder_force_N"] = lambda x: float(
+        -sum(c.gradient(x)[:, c.height_column].sum() for c in resting) / share
+    )
+    for k, ply in enumerate(model.plies, 1):
+        start = f"ply_{k}_" * (k > 1)
+        model.measures[f"{start}shear_angle_max_deg"] = ply.membrane.largest_shear_angle
+        model.measures[f"{start}draw_in_mm"] = partial(_draw_in, ply)
+    for pair in model.ply_pairs:
+        model.measures[f"slip_{pair_name(pair)}_mm"] = partial(slip_between, model.x0, pair)
+
+
+def _draw_in(ply: Model, x: np.ndarray) -> float:
+    positions = ply.sheet.whole_positions(x)
+    return float(np.mean([edge.draw_in(positions) for edge in ply.edges.values()]))

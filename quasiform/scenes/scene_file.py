@@ -39,9 +39,22 @@ from ..tools.part import SHAPES, Form, ToolPart
 from ..tools.shapes import FAR
 from ..tools.surface_file import SurfaceFile
 from .overrides import merged, overridden
-from .scene_parts import MOTIONS, OUTWARDS, REGION, Gripper, Region, SceneFile, Support, Where
+from .scene_parts import (
+    MOTIONS,
+    OUTWARDS,
+    REGION,
+    Gripper,
+    Ply,
+    Region,
+    SceneFile,
+    Support,
+    Where,
+)
 
-__all__ = ["Form", "Gripper", "Region", "SceneFile", "Support", "SurfaceFile", "ToolPart", "Where"]
+__all__ = [
+    *("Form", "Gripper", "Ply", "Region", "SceneFile", "Support", "SurfaceFile", "ToolPart"),
+    "Where",
+]
 _PACKAGED = Path(__file__).parents[1] / "geometries"
 FOLDER = _PACKAGED if _PACKAGED.is_dir() else Path(__file__).parents[2] / "geometries"
 OF_A_TOOL = ("friction", "mass", "force", "z", "place", "tilt")
@@ -173,6 +186,29 @@ def _blank(table: _Blank | _OwnMesh) -> dict[str, Any]:
         raise InputError("mesh_scale goes with a mesh from a file")
     sheet = table.model_dump(include={"orientation", "size", "mesh"})
     return sheet | {"blank": None if own else _region(table), "mesh_scale": table.mesh_scale or 1.0}
+
+
+class _Outline(_Region):
+    holes: list[_union(_Region, HOLES, LARGEST, _region)] = []  # noqa: RUF012
+
+
+class _Ply(Table):
+    orientation: number("Angle of its warp to that of the scene", "deg", signed=True) = 0.0
+    law: checked(_law, type="string", description="That of the scene if left out") = OPEN
+    fabric: Annotated[dict[str, Any], Field(description="Keys that replace those of `law`")] = OPEN
+    blank: _union(_Outline, REGION, LARGEST, _region) = OPEN
+    offset: POINT = (0.0, 0.0)
+    joined: _flag("Whether it is stitched or bonded to the ply above it") = False
+    friction: number("Coulomb coefficient with the ply above it", "1", zero=True) = OPEN
+
+
+def _ply(table: _Ply, law: str | Fabric, folder: Path) -> Ply:
+    """One layer; `law` is that of the scene."""
+    own = table.law and (str(folder / table.law) if table.law.endswith(".toml") else table.law)
+    if table.fabric is not None:
+        own = _fabric(table.fabric, own or law)
+    keys = ("orientation", "blank", "offset", "joined", "friction")
+    return Ply(law=own, **{key: getattr(table, key) for key in keys})
 
 
 # Tools
@@ -332,6 +368,7 @@ class Scene(Table):
     tools: dict[str, _union(_Tool, SHAPES, FAR_OFF, _part, _FROM_FILE)]
     supports: list[Annotated[_Support, AfterValidator(_support)]] = []  # noqa: RUF012
     grippers: list[Annotated[_Gripper, AfterValidator(_gripper)]] = []  # noqa: RUF012
+    plies: Annotated[list[_Ply], Field(description="Layers, from the punch down")] = []  # noqa: RUF012
     areas: dict[str, _Area] = {}  # noqa: RUF012
     increments: _Increments = _Increments()
     outputs: _Outputs = _Outputs()
@@ -355,8 +392,7 @@ def check_increments(travel: float, **increments: float | None) -> None:
 
 
 NOT_POSSIBLE = {  # keys that people try: what is possible instead
-    "plies": "one layer only; a stack is not modelled",
-    "layers": "one layer only; a stack is not modelled",
+    "layers": "layers are given as [[plies]], from the punch down",
     "slits": "cuts that open are not modelled; holes and notches are",
     "pressure": "a pressure on the sheet is not modelled; a holder's force is",
     "diaphragm": "diaphragms are not modelled",
@@ -393,6 +429,7 @@ def _scene(table: dict[str, Any], folder: Path, stem: str) -> SceneFile:
         law=law,
         supports=tuple(scene.supports),
         grippers=tuple(scene.grippers),
+        plies=tuple(_ply(ply, law, folder) for ply in scene.plies),
         areas={name: (area.centre, area.radius) for name, area in scene.areas.items()},
         increment=scene.increments.largest,
         rows=scene.increments.rows,
@@ -409,7 +446,7 @@ def _scene(table: dict[str, Any], folder: Path, stem: str) -> SceneFile:
     return file
 
 
-def _fabric(table: dict[str, Any], law: str) -> Fabric:
+def _fabric(table: dict[str, Any], law: str | Fabric) -> Fabric:
     """Return the fabric of a scene: the keys of its table over those of a law, if there is one."""
     law = law or ("" if "shear" in table else "locking")
     try:
@@ -498,6 +535,7 @@ def scene_toml(file: SceneFile) -> str:
         "tools": tools,
         "supports": [_edge_table(support) for support in file.supports],
         "grippers": [_edge_table(gripper) for gripper in file.grippers],
+        **({"plies": [_ply_table(ply) for ply in file.plies]} if file.plies else {}),
         "areas": {name: {"centre": c, "radius": r} for name, (c, r) in file.areas.items()},
         **({"increments": given} if any(given.values()) else {}),
         "outputs": dict(file.outputs),
@@ -515,6 +553,14 @@ def _region_table(region: Region) -> dict[str, Any]:
     keys = dict(zip(REGION[region.shape][1], region.parameters, strict=True))
     holes = {"holes": [_region_table(hole) for hole in region.holes]} if region.holes else {}
     return {"shape": region.shape, **keys, "centre": region.centre, **holes}
+
+
+def _ply_table(ply: Ply) -> dict[str, Any]:
+    table: dict[str, Any] = {k: v for k, v in vars(ply).items() if k not in ("law", "blank")}
+    table |= {"blank": _region_table(ply.blank)} if ply.blank else {}
+    if isinstance(ply.law, Fabric):
+        return table | {"fabric": ply.law.written()}
+    return table | {"law": Path(ply.law) if ply.law and ply.law.endswith(".toml") else ply.law}
 
 
 def _tool_table(part: ToolPart) -> dict[str, Any]:

@@ -102,6 +102,18 @@ class Gripper:
 
 
 @dataclass(frozen=True)
+class Ply:
+    """One layer of a stack, from the punch down."""
+
+    orientation: float = 0.0  # of its warp to that of the scene, degrees
+    law: str | Fabric | None = None  # preset, path or fabric; None: that of the scene
+    blank: Region | None = None  # its outline; None: that of the scene
+    offset: Point = (0.0, 0.0)  # by how much the outline is moved, mm
+    joined: bool = False  # whether it is stitched or bonded to the ply above it
+    friction: float | None = None  # Coulomb coefficient with the ply above it
+
+
+@dataclass(frozen=True)
 class SceneFile:
     """A forming scene as it is written down."""
 
@@ -117,6 +129,7 @@ class SceneFile:
     gravity: bool = False  # whether the sheet's own weight acts
     supports: tuple[Support, ...] = ()
     grippers: tuple[Gripper, ...] = ()
+    plies: tuple[Ply, ...] = ()  # from the punch down; none: one sheet
     areas: Mapping[str, tuple[Point, float]] = field(default_factory=dict, hash=False)  # discs, mm
     symmetry: str = "auto"  # or "none"
     increment: float | None = None  # largest increment of the travel, mm; None: `usual_length`
@@ -129,7 +142,7 @@ class SceneFile:
     source: str = field(default="", compare=False)  # absolute path; empty for a built-in one
 
     def __post_init__(self) -> None:
-        for name in ("tools", "supports", "grippers"):
+        for name in ("tools", "supports", "grippers", "plies"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
 
     @property
@@ -140,11 +153,13 @@ class SceneFile:
     def files(self) -> list[Path]:
         """All files that the scene names: meshes, outlines and surfaces of tools."""
         named: list[Any] = [self.mesh, *(tool.geometry for tool in self.tools)]
-        named += self.blank.parameters if self.blank else ()
+        for blank in (self.blank, *(ply.blank for ply in self.plies)):
+            named += blank.parameters if blank else ()
         named = [getattr(part, "path", part) for part in named]
         return [part for part in named if isinstance(part, Path)]
 
     def texts(self) -> list[Path]:
         """Files that it was read from: its own, and that of its fabric."""
-        law = self.law if isinstance(self.law, str) and self.law.endswith(".toml") else ""
-        return [Path(name) for name in (self.source, law) if name]
+        laws = [self.law, *(ply.law for ply in self.plies)]
+        read = [law for law in laws if isinstance(law, str) and law.endswith(".toml")]
+        return [Path(name) for name in (self.source, *read) if name]

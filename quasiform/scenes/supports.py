@@ -9,6 +9,7 @@ from ..checks import InputError
 from ..energy.gripper import Grip
 from ..energy.term import Term
 from ..model import Model
+from ..unknowns import Sheet
 from .scene_file import SceneFile
 from .scene_parts import OUTWARDS
 
@@ -66,10 +67,9 @@ def _outwards(
     return OUTWARDS[side] if far[side] < NEAR * min(x1 - x0, y1 - y0) else None
 
 
-def keep_middle(model: Model, file: SceneFile) -> None:
-    """Without friction the middle of the sheet keeps its place in the plane."""
-    sheet, fixed = model.sheet, model.fixed
-    blank = sheet.blank
+def keep_middle(model: Model, sheet: Sheet, file: SceneFile) -> None:
+    """Without friction the middle of a sheet keeps its place in the plane."""
+    fixed, blank = model.fixed, sheet.blank
     if file.supports or file.grippers or len(blank.mirror) == 2:
         return
     middle = np.linalg.norm(blank.nodes, axis=1).argmin()
@@ -80,4 +80,4 @@ def keep_middle(model: Model, file: SceneFile) -> None:
         far = np.linalg.norm(blank.nodes - blank.warp * 4 * model.size, axis=1).argmin()
         fixed[sheet.dofs[far, int(abs(blank.warp[1]) < abs(blank.warp[0]))]] = True
     why = "no friction keeps it in place"
-    model.description.append(("middle of the sheet fixed in the plane", why))
+    model.description.append((f"middle of the {sheet.name} fixed in the plane", why))

@@ -100,6 +100,8 @@ def _vary_in_plane(
 ) -> None:
     """Solve a coarse model with another in-plane bending, and keep both values of its numbers."""
     model, given = coarse.model, dict(coarse.model.recipe.given)
+    if len(model.sheets) > 1:
+        return
     r = model.sheet.fabric.in_plane_bending
     bends = [term for term in model.terms if isinstance(term, Bending)]
     if not (bends and model.contacts and 0 < r < 1 and isinstance(given.get("fabric"), Fabric)):

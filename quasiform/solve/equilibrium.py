@@ -20,6 +20,7 @@ from .tangent import Tangent
 ROUND_OFF = 0.2  # of eps times stiffness, thickness and size: a node's force of round-off
 HOLDING = 0.1  # of the tolerance where friction holds a dead load
 LEFT_OVER = 2e-2  # residual that lagged values may leave to the next increment
+LEFT_OVER_PLIES = 5e-2  # the same of a stack, with lagged pairs
 DRAWN = 3.0  # slide along a tool by the motion that drives it
 LOOSER = 30.0  # tolerance on the way where lagged values have to settle, relative to the end's
 
@@ -66,7 +67,9 @@ class Equilibrium:
     @property
     def left_over(self) -> float:
         """Residual that lagged values may leave to the next increment."""
-        return 0.0 if self.at_end or self.model.dead_load else LEFT_OVER
+        if self.at_end or self.model.dead_load:
+            return 0.0
+        return LEFT_OVER_PLIES if self.model.ply_contacts else LEFT_OVER
 
     def take(self, memory: Memory) -> None:
         """Take over states of the terms, and their stencils where these have changed."""
@@ -86,7 +89,14 @@ class Equilibrium:
         """
         if self.remembers:
             self.take(memory)
+            self.renew()
             self.certify(x)
+
+    def renew(self) -> None:
+        """Forget stencils of the way here: a run that is continued has never met them."""
+        if (potential := self.potential.renewed(self.memory)) is not self.potential:
+            self.potential = potential
+            self.tangent.take(potential)
 
     def begin(self, x: FloatArray, travel: float) -> None:
         """Begin an increment from x to `travel`, by which `check_slide` judges."""

@@ -205,6 +205,7 @@ class Journal:
                 for i, s in enumerate(run.memory)
             )
             run.equations.take(run.memory)
+            run.equations.renew()
             g = run.equations.gradient(run.x)
             if not np.allclose(g, arrays["g"], rtol=1e-9, atol=1e-9 * np.abs(arrays["g"]).max()):
                 raise other

@@ -28,6 +28,7 @@ from ..unknowns import FloatArray
 from .equilibrium import Equilibrium
 from .linear import NotConvergedError
 
+DAMPED = 0.25  # of a change of the normal forces is taken over where plies meet: more oscillates
 FURTHER = 2  # steps of one factor after a whole step
 
 
@@ -139,10 +140,14 @@ def settle(equations: Equilibrium, x: FloatArray) -> FloatArray:
     The normal forces of friction are a fixed point, which Anderson's mixing (1965) speeds up: the
     next ones are those at which the changes of the last passes would cancel. A pass is solved to a
     fifth of what the last one left, no further. After a snap a sheet may still creep for dozens of
-    passes; on the way, the next increment may take over the last of it.
+    passes; on the way, the next increment may take over the last of it. Between plies contact is at
+    single nodes, whose normal forces answer to friction so strongly that mixing leads astray: there
+    a part of each change is taken over.
     """
     mixed, goal = equations.mixed, equations.goal
-    passes = 60 if equations.at_end else 12
+    # pairs of plies are lagged too: more passes, of which most take one factorisation
+    stack = bool(equations.model.ply_contacts)
+    passes = 60 if equations.at_end or stack else 12
     inner = max(goal, 0.1) if mixed else goal
     used, fresh = [], []  # lagged values that the state was solved with, and those then found
     for i in range(passes):
@@ -161,7 +166,9 @@ def settle(equations: Equilibrium, x: FloatArray) -> FloatArray:
             return x
         fresh.append(equations.lagged())
         used, fresh = used[-6:], fresh[-6:]
-        if i > 1:
+        if stack:
+            equations.lag(used[-1] + DAMPED * (fresh[-1] - used[-1]))
+        elif i > 1:
             F = np.array(fresh)
             change = F - np.array(used)
             steps = np.diff(change, axis=0)

@@ -14,6 +14,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse import csr_array
 
+from ..energy.contact import Contact
+from ..energy.plies import PlyContact
 from ..unknowns import FloatArray
 from .equilibrium import Equilibrium
 from .linear import NotConvergedError
@@ -79,7 +81,8 @@ def _masses(equilibrium: Equilibrium, x: FloatArray) -> FloatArray:
     rows = np.asarray(upper.sum(1)) + np.asarray(upper.sum(0)) - upper.diagonal()
     sums = np.ones_like(x)
     sums[equilibrium.free] = rows
-    for contact in model.contacts:
-        stiffness = contact.stiffness_bound(x)
-        sums += np.bincount(contact.dofs.ravel(), stiffness.ravel(), minlength=len(x))
+    for term, state in zip(model.terms, equilibrium.memory, strict=False):
+        if isinstance(term, Contact | PlyContact):
+            stiffness, dofs = term.stiffness_bound(x), term.stencils(state)
+            sums += np.bincount(dofs.ravel(), stiffness.ravel(), minlength=len(x))
     return 0.5 * sums

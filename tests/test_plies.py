@@ -1,0 +1,405 @@
+"""Stacks of plies: the energy between two plies, exact cases, scenes, refusals and results."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.integrate import solve_ivp
+
+import quasiform as qf
+from quasiform import theory
+from quasiform.energy.bending import Bending
+from quasiform.energy.contact import Contact
+from quasiform.energy.friction import STICK
+from quasiform.energy.membrane import Membrane
+from quasiform.energy.plies import PlyContact, PlyFriction
+from quasiform.energy.weight import GRAVITY, SheetWeight, ToolWeight
+from quasiform.recipe import Recipe
+from quasiform.result.assumed import assumed
+from quasiform.result.record import Record
+from quasiform.scenes.fabric_tests import hanging_strip
+from quasiform.scenes.stack import joined
+from quasiform.tools.shapes import Plane, flipped
+from quasiform.unknowns import Unknowns
+
+FABRIC = qf.Fabric()
+T0 = FABRIC.thickness
+
+
+# The energy
+
+
+def on_a_dome(radius=100.0, size=8.0, turn=45.0):
+    """Two plies of other fibre directions on a dome, pressed a little into each other."""
+    unknowns = Unknowns()
+    plies = [
+        unknowns.sheet(qf.rectangle(60.0, 50.0, size, angle), FABRIC, 3, 0.0, name)
+        for name, angle in (("ply 1", 0.0), ("ply 2", turn))
+    ]
+    x = np.zeros(unknowns.size)
+    for ply, r in zip(plies, (radius + 0.98 * T0, radius), strict=True):
+        X = ply.blank.nodes
+        far, about = np.linalg.norm(X, axis=1) / radius, np.arctan2(X[:, 1], X[:, 0])
+        flat = [np.cos(about) * np.sin(far), np.sin(about) * np.sin(far), np.cos(far)]
+        x[ply.dofs] = r * np.column_stack(flat)
+    return plies, x
+
+
+def terms_on_a_dome():
+    (above, below), x = on_a_dome()
+    contacts = PlyContact(above, below, True), PlyContact(below, above, False)
+    rng = np.random.default_rng(0)
+    moved = x + rng.normal(scale=0.02, size=len(x))
+    trial = moved + rng.normal(scale=0.02, size=len(x))
+    frictions = [PlyFriction(contact, 0.3) for contact in contacts]
+    states = [term.refresh(moved, term.initial(x)) for term in (*contacts, *frictions)]
+    return list(zip((*contacts, *frictions), states, strict=True)), trial, (above, below)
+
+
+@pytest.mark.parametrize("k", range(4))
+def test_derivatives_are_exact_for_fixed_pairs(k):
+    cases, x, _ = terms_on_a_dome()
+    term, state = cases[k]
+    assert len(term.active(x, state)) > 5
+    d, h = np.random.default_rng(1).normal(size=len(x)), 1e-6
+    ends = [x + h * d, x - h * d]
+    difference = np.subtract(*(term.energy(end, state).sum() for end in ends)) / (2 * h)
+    slope = (term.gradient(x, state) * d[state.dofs]).sum()
+    assert slope == pytest.approx(difference, rel=1e-6, abs=1e-9)
+    H = term.hessian(x, state, False)
+    change = np.subtract(*(term.gradient(end, state) for end in ends)) / (2 * h)
+    product = np.einsum("mij,mj->mi", H, d[state.dofs])
+    assert_allclose(product, change, atol=1e-6 * np.abs(change).max())
+    assert_allclose(H, H.transpose(0, 2, 1), atol=1e-9)
+    assert np.linalg.eigvalsh(term.hessian(x, state, True)).min() > -1e-9
+
+
+@pytest.mark.parametrize("k", range(4))
+def test_forces_of_ply_on_ply_are_equal_and_opposite(k):
+    cases, x, plies = terms_on_a_dome()
+    term, state = cases[k]
+    g = np.zeros(len(x))
+    term.add_gradient(g, x, state)
+    of_each = [g[ply.dofs].sum(0) for ply in plies]
+    assert np.abs(of_each).max() > 1e-2
+    assert_allclose(of_each[0], -of_each[1], rtol=0, atol=1e-10 * np.abs(g).sum())
+
+
+def test_plies_that_turn_together_do_not_slide():
+    (above, below), x = on_a_dome()
+    friction = PlyFriction(PlyContact(above, below, True), 0.3)
+    state = friction.initial(x)
+    c, s = np.cos(0.1), np.sin(0.1)
+    R = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+    turned = (x.reshape(-1, 3) @ R.T).ravel()
+    state = friction.refresh(turned, state)
+    assert (state.limit > 0).any()
+    # what is left is due to the angle between facets: far less than the lever's 0.1 mm
+    assert friction.slide(turned, state) < 0.02
+
+
+def test_pairs_of_a_dome_have_the_smooth_gap():
+    """The gap between nodes and the smooth surface is that of the two spheres."""
+    (above, below), x = on_a_dome(size=5.0)
+    for contact in (PlyContact(above, below, True), PlyContact(below, above, False)):
+        pairs = contact.pairs(x)
+        inner = np.abs(contact.places).max(1) < 15.0
+        p = contact.penetration(x, pairs)[inner]
+        assert_allclose(p, 0.02 * T0, atol=2e-3)
+        assert pairs.rise[inner].max() > 0.05  # flat triangles alone are off by that
+
+
+def test_a_node_without_a_ply_under_it_has_no_force():
+    unknowns = Unknowns()
+    wide = unknowns.sheet(qf.rectangle(80.0, 40.0, 8.0), FABRIC, 3, 0.0, "ply 1")
+    small = unknowns.sheet(qf.rectangle(40.0, 40.0, 8.0), FABRIC, 3, 0.0, "ply 2")
+    contact = PlyContact(wide, small, True)
+    x = np.zeros(unknowns.size)
+    for ply, z in ((wide, 0.9 * T0), (small, 0.0)):
+        x[ply.dofs] = np.column_stack([ply.blank.nodes, np.full(len(ply.dofs), z)])
+    touching = contact.active(x, contact.initial(x))
+    assert_array_equal(np.sort(touching), np.flatnonzero(np.abs(wide.blank.nodes[:, 0]) < 20.5))
+
+
+# Exact cases
+
+
+def pulled_out(mass, friction, pull, increment=0.25):
+    """A ply that is pulled, as a whole, from between two others under a plate with weight."""
+    unknowns, load = Unknowns(), 1e3 * GRAVITY * mass
+    sizes = (140.0, 60.0, 0.0), (100.0, 50.0, 45.0), (140.0, 60.0, 0.0)
+    plies = [
+        unknowns.sheet(qf.rectangle(a, b, 10.0, turn), FABRIC, 3, 0.0, f"ply {k}")
+        for k, (a, b, turn) in enumerate(sizes, 1)
+    ]
+    plates = [
+        (plies[2], qf.Tool("table", Plane(), friction=0.0)),
+        (plies[0], qf.Tool("plate", flipped(Plane()), 3 * T0, "free", 0.0, mass)),
+    ]
+    contacts = [Contact(ply, tool, unknowns.add(tool.name, 1).dofs) for ply, tool in plates]
+    x0, fixed, drive = unknowns.start(*plies)
+    for k, ply in enumerate(plies):
+        x0[ply.dofs[:, 2]] = (2.5 - k) * T0
+        fixed[ply.dofs[:, :2]] = True
+    x0[contacts[1].tool_dofs], fixed[contacts[0].tool_dofs] = 3 * T0, True
+    drive[plies[1].dofs[:, 0]] = 1.0
+    between = [PlyContact(plies[i], plies[k], i < k) for i, k in ((0, 1), (1, 0), (1, 2), (2, 1))]
+    terms = [kind(ply) for ply in plies for kind in (Membrane, Bending)]
+    terms += [*contacts, *between, *(PlyFriction(c, friction) for c in between if friction)]
+    terms.append(ToolWeight(load, int(contacts[1].tool_dofs[0])))
+    model = {"name": "pull", "unknowns": unknowns, "sheets": plies, "terms": terms, "x0": x0}
+    model |= {"fixed": fixed, "drive": drive, "travel": pull, "increment": increment}
+    return qf.Model(rows=increment, resting=load, **model)
+
+
+def test_ply_pulled_from_between_two_others():
+    result = qf.solve(pulled_out(5.0, 0.3, 2.0), estimate=False)
+    assert result.status == "completed"
+    assert result.force == pytest.approx(theory.strip_friction(0.3, 5.0), rel=0.01)
+    assert result.energy_balance < 0.01
+
+
+def test_ply_sticks_below_the_limit():
+    """Up to its limit friction is the elastic stick of both faces, and nothing is lost."""
+    pull = 1e-3
+    result = qf.solve(pulled_out(5.0, 0.3, pull, increment=pull / 4), estimate=False)
+    forces = result.history["force_N"]
+    assert_allclose(np.diff(forces[1:]), forces[2] - forces[1], rtol=1e-3)
+    # two faces, with half the weight of the nodes of each ply: those of the outer plies stand for
+    # more than the pulled area
+    stiffness = 2 * STICK * FABRIC.compaction * 100.0 * 50.0
+    assert np.diff(forces)[-1] * 4 / pull == pytest.approx(stiffness, rel=0.05)
+    for term, state in zip(result.model.terms, result.memory, strict=True):
+        if isinstance(term, PlyFriction):
+            force = np.linalg.norm(term.force(result.states[-1].x, state), axis=1)
+            assert 0.0 < force.max()
+            assert (force < state.limit)[state.limit > 0].mean() > 0.98  # but for a corner
+
+
+def hanging_pair(length, load, size=4.0):
+    """A cantilever of two plies without friction, whose upper ply alone has weight."""
+    single = hanging_strip(size, None, FABRIC, length=length, load=load, width=20.0, family="warp")
+    blank, unknowns = single.sheet.blank, Unknowns()
+    plies = [unknowns.sheet(blank, FABRIC, 3, 0.0, f"ply {k}") for k in (1, 2)]
+    factor = unknowns.add("load factor of the weight", 1)
+    clamped = np.abs(blank.nodes[:, 0]) < 1e-9 * length
+    x0, fixed, drive = unknowns.start(*plies)
+    terms = []
+    for ply, z in zip(plies, (T0, 0.0), strict=True):
+        x0[ply.dofs[:, 2]] = z
+        fixed[ply.dofs[clamped]] = True
+        terms += [Membrane(ply), Bending(ply, clamped)]
+    fixed[factor.dofs], drive[factor.dofs] = True, 1.0
+    terms += [PlyContact(plies[0], plies[1], True), PlyContact(plies[1], plies[0], False)]
+    terms.append(SheetWeight(plies[0], load, int(factor.dofs[0, 0])))
+    given = {name: getattr(single, name) for name in ("travel", "increment", "rows", "dead_load")}
+    given |= {"unknowns": unknowns, "sheets": plies, "terms": terms, "x0": x0, "fixed": fixed}
+    return qf.Model(name="pair", drive=drive, travel_name="load_factor", **given)
+
+
+def test_two_plies_that_slip_freely_bend_with_two_stiffnesses():
+    length, k = 120.0, 4.0
+    load = k * 2 * FABRIC.bending_warp / length**3
+    result = qf.solve(hanging_pair(length, load), estimate=False)
+    assert result.status == "completed"
+    drop = theory.heavy_elastica(k)[1] * length
+    for ply, z in zip(result.model.sheets, (T0, 0.0), strict=True):
+        end = ply.positions(result.states[-1].x)[ply.blank.nodes[:, 0] > length - 1e-6]
+        assert z - end[:, 2].mean() == pytest.approx(drop, rel=0.01)
+
+
+def test_two_joined_plies_bend_with_the_stretch_of_their_fibres():
+    two, C = joined(FABRIC, 2), 4000.0
+    B = 2 * FABRIC.bending_warp + C * T0**3 / 2
+    assert two.bending_warp == pytest.approx(B, rel=1e-12)
+    assert (two.thickness, two.areal_weight) == (2 * T0, 2 * FABRIC.areal_weight)
+    length, k = 300.0, 4.0
+    strip = {"length": length, "load": k * B / length**3, "width": 40.0, "family": "warp"}
+    result = qf.solve(hanging_strip(10.0, None, two, **strip), estimate=False)
+    end = result.positions()[result.blank.nodes[:, 0] > length - 1e-6]
+    assert -end[:, 2].mean() == pytest.approx(theory.heavy_elastica(k)[1] * length, rel=0.01)
+
+
+# Scenes
+
+
+def stacked(plies, size=30.0, travel=2.0, **given):
+    return qf.forming("hemisphere", size=size, travel=travel, plies=plies, **given)
+
+
+def test_identical_joined_plies_are_one_sheet_of_twice_the_membrane():
+    pair = stacked([0, {"joined": True}], 25.0, 10.0)
+    assert len(pair.sheets) == 1
+    assert pair.share == 0.25  # mirror planes as for one sheet
+    alone = qf.forming("hemisphere", size=25.0, travel=10.0, law=joined(FABRIC, 2))
+    ends = [qf.solve(model, estimate=False) for model in (pair, alone)]
+    assert ends[0].force == pytest.approx(ends[1].force, rel=0.005)
+    assert "1 and 2 are one sheet" in dict(pair.description)["plies from the punch down"]
+
+
+def test_one_ply_is_the_scene_without_plies():
+    models = [stacked([0], travel=5.0), qf.forming("hemisphere", size=30.0, travel=5.0)]
+    ends = [qf.solve(model, estimate=False) for model in models]
+    assert_array_equal(ends[0].states[-1].x, ends[1].states[-1].x)
+
+
+def test_only_planes_of_the_whole_stack_are_kept():
+    assert stacked([0, 90]).share == 0.25
+    assert stacked([0, 45]).share == 1.0
+    assert stacked([45, -45]).share == 0.25
+
+
+def test_plies_lie_on_each_other_at_the_start_and_meet_the_tools_that_they_can():
+    model = stacked([0, 45, 90])
+    heights = [ply.positions(model.x0)[:, 2].mean() for ply in model.sheets]
+    assert_allclose(-np.diff(heights), T0, rtol=0.01)
+    pairs = {(c.sheet.name, c.tool.name) for c in model.contacts}
+    assert pairs == {("ply 1", "punch"), ("ply 1", "blank holder"), ("ply 3", "die")}
+    assert [(a.sheet.name, b.sheet.name) for a, b in model.ply_pairs] == [
+        ("ply 1", "ply 2"),
+        ("ply 2", "ply 3"),
+    ]
+    assert any("left out: ply 1 with ply 3" in entry for entry, _ in model.description)
+
+
+def test_a_ply_that_is_not_covered_meets_the_punch_too():
+    small = {"blank": {"shape": "disc", "radius": 120.0}}
+    model = stacked([small, 45], size=25.0)
+    assert {c.sheet.name for c in model.contacts if c.tool.name == "punch"} == {"ply 1", "ply 2"}
+
+
+def test_a_coefficient_between_plies_that_is_not_given_is_assumed():
+    model = stacked([0, 45])
+    assert "plies 2.friction" in assumed(model)
+    again = Recipe.read(model.recipe.written()).build()
+    assert assumed(again) == assumed(model)
+    given = {"orientation": 45.0, "friction": {"value": 0.2, "standing": "measured"}}
+    model = stacked([0, given])
+    assert model.parameters["standings"]["plies 2.friction"] == "measured"
+    assert {term.friction for term in model.terms if isinstance(term, PlyFriction)} == {0.2}
+
+
+@pytest.mark.parametrize(
+    ("plies", "words"),
+    [
+        ([0, {"offset": [400.0, 0.0]}], "plies 2.* does not overlap the ply above it"),
+        ([0, {"orientation": 45, "joined": True}], "another orientation"),
+        ([{"joined": True}, 0], "there is no ply above it"),
+        ([0, {"angle": 3}], "angle"),
+        ([0, {"law": "nothing"}], "unknown law"),
+        ([0] * 13, "at most 12 plies"),
+    ],
+)
+def test_stacks_that_cannot_be_formed(plies, words):
+    with pytest.raises(qf.InputError, match=words):
+        stacked(plies)
+
+
+def test_what_is_not_possible_with_plies():
+    slipping = replace(FABRIC, slip=qf.Slip(0.05, 0.1, 5.0))
+    with pytest.raises(qf.InputError, match="slip of the rovings"):
+        stacked([0, 45], law=slipping)
+    with pytest.raises(qf.InputError, match="mesh = 'fibre'"):
+        stacked([0, 45], overrides={"mesh": "free"})
+    support = {"supports": [{"side": "+x", "fix": "z"}]}
+    with pytest.raises(qf.InputError, match=r"\[\[supports\]\]"):
+        stacked([0, 45], overrides=support)
+
+
+def test_plies_of_like_directions_need_twice_the_force_of_one():
+    """Their nets are formed alike; the holder's weight, and so a part of the friction, is one."""
+    stack = qf.solve(stacked([0, 90], 15.0, 25.0), estimate=False)
+    alone = qf.solve(qf.forming("hemisphere", size=15.0, travel=25.0), estimate=False)
+    assert stack.certified.converged
+    assert 1.8 < stack.force / alone.force < 2.0
+    assert stack.draw_in == pytest.approx(alone.draw_in, abs=0.05)
+    assert_allclose(*(ply.shear_angle.max() for ply in stack.plies), rtol=0.05)
+
+
+# Results
+
+
+@pytest.fixture(scope="module")
+def formed():
+    plies = [0, {"orientation": 45.0, "friction": 0.2}]
+    return qf.solve(stacked(plies, 25.0, 5.0), estimate=False, increment=1.25)
+
+
+def test_a_stack_is_solved(formed):
+    assert formed.status == "completed"
+    figures = formed.certified.figures
+    assert figures["residual_relative"] < 1e-3
+    assert figures["ply_penetration_mm"] < 0.03
+    assert 0.01 < figures["slip_between_plies_1_2_mm"] < 1.0
+
+
+def test_folder_of_a_stack(formed, tmp_path):
+    formed.save(tmp_path / "out", pictures=False)
+    record = Record.read(tmp_path / "out")
+    assert len(record.summary["plies"]) == 2
+    whole = formed.stack_at()
+    for k, own in enumerate(formed.sheets.values(), 1):
+        read = Record.read(tmp_path / "out", ply=k).sheet
+        assert_allclose(read.points, own.points, atol=1e-9)
+        assert_array_equal(read.triangles, own.triangles)
+        assert (tmp_path / "out" / f"ply_{k}.vtu").is_file()
+        assert (whole.cell_fields["ply"] == k).sum() == len(own.triangles)
+    assert {"ply_2_draw_in_mm", "slip_1_2_mm"} <= set(record.history)
+    again = qf.forming(str(tmp_path / "out" / "scene.toml"))
+    assert again.parameters["plies"] == formed.model.parameters["plies"]
+
+
+def test_a_stopped_run_of_a_stack_is_continued_as_it_was(formed, tmp_path):
+    plies = [0, {"orientation": 45.0, "friction": 0.2}]
+    given = {"estimate": False, "increment": 1.25, "out": tmp_path}
+    stopped = qf.solve(stacked(plies, 25.0, 5.0), callback=lambda p: p.travel > 2.0, **given)
+    assert stopped.status == "stopped"
+    end = qf.solve(stacked(plies, 25.0, 5.0), resume=True, **given)
+    assert_array_equal(end.states[-1].x, formed.states[-1].x)
+
+
+def test_no_sensitivities_of_a_stack(formed):
+    with pytest.raises(qf.InputError, match="several plies"):
+        formed.sensitivity(["fabric.friction"])
+
+
+def exact_net(radius, a, b):
+    """Places on a sphere of the net of `hemisphere_net`, for a column of a and rows of b, mm."""
+    places = []
+    for length in a:
+        start = [0.0, 0.0, np.cos(length / radius)], [np.sin(length / radius), 0.0, 0.0]
+        x = radius * np.add(*start)
+
+        def rates(s, state, length=length):
+            x, T = np.split(state, 2)
+            h = 1e-4
+            ends = theory.hemisphere_net(length, np.array([s - h, s + h]), radius)
+            bend = -np.diff(ends)[0] / (2 * h)  # geodesic curvature of the line along b
+            return np.append(T, -x / radius**2 + bend * np.cross(x / radius, T))
+
+        state = np.append(x, [0.0, 1.0, 0.0])
+        path = solve_ivp(rates, (0.0, max(b)), state, rtol=1e-8, atol=1e-8, dense_output=True)
+        places.append(path.sol(b)[:3].T)
+    return np.array(places)
+
+
+def test_exact_net_has_the_shear_angle_of_the_theory():
+    R, a, b = 75.0, np.linspace(20.0, 40.0, 81), np.linspace(20.0, 40.0, 81)
+    x = exact_net(R, a, b)
+    u = (x[1:, :-1] - x[:-1, :-1]) / 0.25
+    v = (x[:-1, 1:] - x[:-1, :-1]) / 0.25
+    assert_allclose(np.linalg.norm(u, axis=2), 1.0, atol=1e-3)
+    gamma = np.arcsin((u * v).sum(2))
+    middle = theory.hemisphere_net(a[:-1, None] + 0.125, b[None, :-1] + 0.125, R)
+    assert_allclose(gamma, middle, atol=2e-3)
+
+
+def test_outlines_that_overlap_in_part_have_contact_where_they_do():
+    model = stacked([0, {"orientation": 45.0, "offset": [100.0, 0.0]}], size=25.0)
+    ((above, _),) = model.ply_pairs
+    paired = above.pairs(model.x0).share
+    assert paired[above.places[:, 0] > -45.0].min() > 0.5
+    assert not paired[above.places[:, 0] < -65.0].any()
+    tools = {c.tool.name for c in model.contacts if c.sheet.name == "ply 2"}
+    assert tools == {"punch", "die", "blank holder"}  # it is not covered everywhere
