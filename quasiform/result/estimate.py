@@ -49,7 +49,8 @@ def judged(result: Outcome, coarser: Sequence[Outcome], finer: Outcome | None = 
     error = discretisation_error(fields, sizes, own, alone)[blank.triangles].mean(1)
     along, force = _force_errors(result, levels), result.model.force_name
     if len(levels) == 2 and not own:
-        for name, least in _differences(result, np.abs(fields[0] - fields[1])).items():
+        first_order = np.abs(fields[0] - fields[1]) / (sizes[1] / sizes[0] - 1.0)
+        for name, least in _differences(result, first_order).items():
             if name in estimate:  # not that of an area that is not sheared
                 estimate[name] = max(estimate[name], least)
         if along is not None:
@@ -60,7 +61,7 @@ def judged(result: Outcome, coarser: Sequence[Outcome], finer: Outcome | None = 
 
 
 def _differences(result: Outcome, nodes: FloatArray) -> dict[str, float]:
-    """Mean difference of the shear angle by quantity, degrees, from that at the nodes (n_nodes,).
+    """Mean error of the shear angle by quantity, degrees, from that at the nodes (n_nodes,).
 
     Two meshes alone may agree by chance in a percentile or a mean: such a number is not better
     than the shear angle that it is made of.

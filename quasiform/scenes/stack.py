@@ -174,7 +174,12 @@ def described(layers: Sequence[Layer]) -> list[tuple[str, str]]:
         numbers = " and ".join(map(str, layer.plies))
         joint = " are one sheet," if len(layer.plies) > 1 else ""
         words.append(f"{numbers}{joint} at {layer.orientation:g}°, {layer.fabric.name}")
-    return [("plies from the punch down", "; ".join(words))]
+    lines = [("plies from the punch down", "; ".join(words))]
+    turned = {round(layer.orientation % 90.0, 6) for layer in layers}
+    if len(turned) > 1:
+        why = "warp and weft of the plies do not run alike: much slower, and it may stop early"
+        lines.append(("plies at an angle to each other", why))
+    return lines
 
 
 def written(layers: Sequence[Layer]) -> list[dict[str, Any]]:
