@@ -158,8 +158,8 @@ def test_sigkill_leaves_readable_files_and_resume_carries_on(tmp_path, delay):
     time.sleep(delay)
     child.send_signal(signal.SIGKILL)
     child.wait()
-    summary = readable(out)
-    if summary["status"] == "stopped":  # else it was quicker
+    readable(out)
+    if (out / "resume.npz").exists():  # else it was quicker
         assert main(["resume", str(out)]) == 0
     straight = qf.solve(qf.off_axis_tension(size=20, displacement=20), increment=0.25)
     summary = readable(out)

@@ -292,13 +292,12 @@ class Record:
                 stacks[number].write(folder / name)
             ET.SubElement(series, "DataSet", timestep=f"{travel:.8g}", part="0", file=name)
         ET.ElementTree(collection).write(folder / "result.pvd", xml_declaration=True)
-        whole = stacks[-1]
         if increments and since < len(self.sheets):  # the last one is the end
             copyfile(folder / name, folder / "result.vtu")
         else:
-            whole.write(folder / "result.vtu")
+            stacks[-1].write(folder / "result.vtu")
         for ply in range(1, 1 + len(self.summary.get("plies", ()))):
-            one_of(whole, ply).write(folder / f"ply_{ply}.vtu")
+            one_of(stacks[-1], ply).write(folder / f"ply_{ply}.vtu")
 
 
 def _read_summary(path: Path) -> dict[str, Any]:

@@ -153,6 +153,7 @@ class Journal:
         head = {"format": FORMAT, "recipe": _recipe(run), "options": self.options}
         head |= {"parameters": run.model.parameters, "settings": asdict(run.settings)}
         head |= {"step": step, "elapsed": elapsed, "travel": run.travel}
+        head["factored"] = run.equations.tangent.factored_at(run.x)
         head |= {"account": asdict(run.account), "files": run.model.files}
         head["counted"] = [{name: getattr(of, name) for name in kept} for of, kept in _counted(run)]
         rows = [[s.travel, s.force, s.linear_solves, *s.measures.values()] for s in states]
@@ -209,7 +210,8 @@ class Journal:
             g = run.equations.gradient(run.x)
             if not np.allclose(g, arrays["g"], rtol=1e-9, atol=1e-9 * np.abs(arrays["g"]).max()):
                 raise other
-            run.equations.certify(run.x)  # as the run had done: the next steps are the same ones
+            if recorded["factored"]:
+                run.equations.certify(run.x)  # the next steps are the same ones, and as many
             for (of, _), values in zip(_counted(run), recorded["counted"], strict=True):
                 for name, value in values.items():
                     setattr(of, name, type(getattr(of, name))(value))
@@ -219,7 +221,11 @@ class Journal:
     def keep(self, result: Result, drawn: bool = False) -> None:
         """Write a result whose error is not estimated yet; `quasiform resume` estimates it.
 
-        It is drawn too where it took long, or where that is asked for.
+        Parameters
+        ----------
+        result : Result
+        drawn : bool
+            Whether it is drawn too although it took a short time.
         """
         try:
             with added(self.folder, instead=() if self._rows else FILES) as staging:

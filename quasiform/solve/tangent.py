@@ -73,6 +73,11 @@ class Tangent:
             self.solver = self._solver()
         self._factored = None
 
+    def factored_at(self, x: FloatArray) -> bool:
+        """Whether the last factor is that of the exact tangent at x."""
+        known = self._factored
+        return known is not None and not known[1] and np.array_equal(known[0], x)
+
     def forget(self) -> None:
         """The last factor is of no use any more."""
         self._factored = None
