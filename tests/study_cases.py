@@ -6,6 +6,8 @@ import signal
 from pathlib import Path
 
 import quasiform as qf
+from quasiform.console.cli import main
+from quasiform.toml_file import toml_text
 
 FLAG = "QUASIFORM_TEST_FLAG"
 
@@ -66,3 +68,14 @@ def changed(displacement):
 
 def local(displacement):
     return strip(displacement).including(lambda model: None)
+
+
+def refused(study, message, folder, capsys):
+    """A study without the keys that are None ends with 2 and one line, before its first run."""
+    path = folder / "study.toml"
+    path.write_text(toml_text({k: v for k, v in study.items() if v is not None}), encoding="utf-8")
+    assert main(["study", str(path), "--out", str(folder / "out")]) == 2
+    said = capsys.readouterr().err
+    assert message in said
+    assert said.count("\n") == 1
+    assert not (folder / "out").exists()

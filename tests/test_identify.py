@@ -1261,6 +1261,15 @@ def test_columns_and_units_of_a_file(capsys, here):
 
 
 @pytest.mark.usefixtures("undrawn")
+@pytest.mark.parametrize(("loose", "shown"), [(-1.0, True), (100.0, False)])
+def test_a_large_misfit_points_to_the_table(capsys, here, monkeypatch, loose, shown):
+    monkeypatch.setattr("quasiform.console.terminal.LOOSE", loose)
+    strip_csv("data.csv", rows=30)
+    assert main(["identify", "data.csv", "--out", "x"]) == 0
+    assert ("--method table follows the forces" in capsys.readouterr().out) is shown
+
+
+@pytest.mark.usefixtures("undrawn")
 def test_sizes_and_defaults_are_told_before_the_fit(capsys, here):
     strip_csv("data.csv", rows=30)
     argv = ["identify", "data.csv", "--method", "table", "--width", "160"]

@@ -321,14 +321,7 @@ REFUSED = {
 
 @pytest.mark.parametrize("message", REFUSED)
 def test_refused_before_the_first_run(message, tmp_path, capsys):
-    study = {k: v for k, v in (STRIP | {"vary": TWO} | REFUSED[message]).items() if v is not None}
-    path = tmp_path / "study.toml"
-    path.write_text(toml_text(study), encoding="utf-8")
-    assert main(["study", str(path), "--out", str(tmp_path / "out")]) == 2
-    said = capsys.readouterr().err
-    assert message in said
-    assert said.count("\n") == 1
-    assert not (tmp_path / "out").exists()
+    study_cases.refused(STRIP | {"vary": TWO} | REFUSED[message], message, tmp_path, capsys)
 
 
 def test_a_function_has_no_trim_line_and_may_have_a_start():

@@ -259,14 +259,7 @@ REFUSED = {
 
 @pytest.mark.parametrize("message", REFUSED)
 def test_refused_before_the_first_run(message, tmp_path, capsys):
-    study = {k: v for k, v in (FOUR | REFUSED[message]).items() if v is not None}
-    path = tmp_path / "study.toml"
-    path.write_text(toml_text(study), encoding="utf-8")
-    assert main(["study", str(path), "--out", str(tmp_path / "out")]) == 2
-    said = capsys.readouterr().err
-    assert message in said
-    assert said.count("\n") == 1
-    assert not (tmp_path / "out").exists()
+    study_cases.refused(FOUR | REFUSED[message], message, tmp_path, capsys)
 
 
 def test_refused_scenes_and_functions(tmp_path):

@@ -210,8 +210,8 @@ def _worth(summary: Mapping[str, Any]) -> dict[str, str]:
     rows["converged"] = "yes" if summary["certificate"]["converged"] else "no"
     limits = [*summary["certificate"]["reasons"], *summary["trust"]]
     rows["trust"] = f"limited: {'; '.join(limits[:SHOWN])}" if limits else "no limit was found"
-    if more := len(limits) - SHOWN:
-        rows["trust"] += f"; and {more} more (summary.json)" * (more > 0)
+    if (more := len(limits) - SHOWN) > 0:
+        rows["trust"] += f"; and {more} more (summary.json)"
     work = ", ".join(f"{times} at {mesh}" for mesh, times in summary["factorisations"].items())
     solver, increments = summary["solver"]["linear"], summary["increments"]
     rows["factorisations"] = f"{work} ({solver}), in {increments} increments"
@@ -253,11 +253,11 @@ def identified(found: Identification) -> str:
             f"  tested from {found.curve.low:.1f} to {found.curve.high:.1f} degrees of shear, "
             f"forces within {misfit:g} % (root mean square)"
         )
+        if misfit > LOOSE and found.campaign.method == "fit":
+            lines.append("  --method table follows the forces where the parameters do not")
     if found.fitted is not None:
         first, third = found.fitted.stages
         lines.append(f"  first stage to {first:.1f} degrees, third from {third:.1f} degrees")
-        if misfit > LOOSE and found.campaign.method == "fit":
-            lines.append("  --method table follows the forces where the parameters do not")
     read = {notice for test in found.campaign.shear for notice in test.curve.notices}
     lines += [f"  note: {notice}" for notice in found.notices if notice not in read]
     rows = []

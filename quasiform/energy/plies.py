@@ -38,7 +38,7 @@ from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from ..checks import InputError
-from ..net.transfer import interpolated
+from ..net.transfer import interpolated, percentile
 from ..unknowns import FloatArray, IntArray, Sheet
 from .bending import second_derivative, skew
 from .contact import BLEND, Acting, AtPoints, compaction_law
@@ -407,11 +407,7 @@ def slip_between(start: FloatArray, pair: Sequence[PlyContact], x: FloatArray) -
     """99th percentile of how far two plies have slid on each other since the start, mm, by area."""
     slid = np.concatenate([contact.slid(start, x) for contact in pair])
     area, known = np.concatenate([contact.area for contact in pair]), ~np.isnan(slid)
-    if not known.any():
-        return 0.0
-    order = np.argsort(slid[known])
-    below = np.cumsum(area[known][order])
-    return float(slid[known][order][np.searchsorted(below, 0.99 * below[-1])])
+    return percentile(slid[known], area[known], 0.99) if known.any() else 0.0
 
 
 def _averages(sheet: Sheet) -> csr_array:

@@ -1,4 +1,4 @@
-"""Values on one flat mesh, (n, 2) places in mm, interpolated to (m, 2) places of another."""
+"""Values on a flat mesh: interpolated to the places (m, 2) of another, mm; percentiles by area."""
 
 from __future__ import annotations
 
@@ -26,3 +26,16 @@ def smoothly(places: FloatArray, values: FloatArray, at: FloatArray) -> FloatArr
     if outside.any():
         found[outside] = RBFInterpolator(places, values, neighbors=20, degree=1)(at[outside])
     return found
+
+
+def percentile(values: FloatArray, areas: FloatArray, share: float) -> float:
+    """Value below which `share` of the area lies.
+
+    Examples
+    --------
+    >>> percentile(np.array([3.0, 1.0, 2.0]), np.array([1.0, 1.0, 8.0]), 0.5)
+    2.0
+    """
+    order = np.argsort(values)
+    below = np.cumsum(areas[order])
+    return float(values[order][np.searchsorted(below, share * below[-1])])

@@ -12,6 +12,7 @@ from ..energy.contact import Contact, moment
 from ..energy.slip import Slipped
 from ..model import COLLAPSE, Model
 from ..net.blank import Blank
+from ..net.transfer import percentile
 from .sheet import DOUBTS, FormedSheet
 from .stability import buckle, local_waves, shear_stability
 
@@ -23,19 +24,6 @@ SLIP_GRADIENT = 2.4
 """Shear gradient at which rovings may slip, degrees/mm: in the 45° off-axis tension test the paper
 saw slippage from u = 30 mm on, where the shear jumps by 12° between zones; over a width of 5 mm
 (*inferred* from stated facts, the width *assumed*)."""
-
-
-def percentile(values: FloatArray, areas: FloatArray, share: float) -> float:
-    """Value below which `share` of the area lies.
-
-    Examples
-    --------
-    >>> percentile(np.array([3.0, 1.0, 2.0]), np.array([1.0, 1.0, 8.0]), 0.5)
-    2.0
-    """
-    order = np.argsort(values)
-    below = np.cumsum(areas[order])
-    return float(values[order][np.searchsorted(below, share * below[-1])])
 
 
 def nodal(blank: Blank, values: FloatArray) -> FloatArray:

@@ -81,7 +81,7 @@ def _masses(equilibrium: Equilibrium, x: FloatArray) -> FloatArray:
     rows = np.asarray(upper.sum(1)) + np.asarray(upper.sum(0)) - upper.diagonal()
     sums = np.ones_like(x)
     sums[equilibrium.free] = rows
-    for term, state in zip(model.terms, equilibrium.memory, strict=False):
+    for term, state in zip(model.terms, equilibrium.memory, strict=True):
         if isinstance(term, Contact | PlyContact):
             stiffness, dofs = term.stiffness_bound(x), term.stencils(state)
             sums += np.bincount(dofs.ravel(), stiffness.ravel(), minlength=len(x))
