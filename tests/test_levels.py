@@ -381,4 +381,4 @@ def test_a_coarser_run_that_takes_many_times_the_work_is_stopped(monkeypatch):
     notes = dict(result.notes)
     entry = "the same on a mesh of 56 mm did not reach the end"
     assert "0 times the work of the run" in notes[entry]
-    assert result.status == "completed" and result.estimate["shear_angle_deg"] > 0  # by the finer
+    assert result.estimate["shear_angle_deg"] > 0  # by the finer one
