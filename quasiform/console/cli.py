@@ -693,7 +693,7 @@ def view(
     /,
     *,
     travel: Annotated[Length | None, about("Show the state nearest to it (the last).")] = None,
-    ply: Annotated[Count, about("Of a stack, from the punch down.")] = 1,
+    ply: Annotated[Count | None, about("One of a stack, from the punch down (all).")] = None,
     open: Annotated[bool, about("Open the page in the browser.")] = False,
     summary: Annotated[
         bool, about("One page to read instead, HTML and PDF, for somebody who did not run it.")
@@ -709,7 +709,7 @@ def view(
     from ..draw import page, view
     from ..result.record import Record
 
-    run = Record.read(folder, ply)
+    run = Record.read(folder, ply or int(summary))
     if travel is not None:
         run = run.near(travel)
     name = _case(run.name) + "-summary" * summary
