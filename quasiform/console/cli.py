@@ -560,7 +560,19 @@ def export(
     /,
     *,
     to: Annotated[
-        Literal["abaqus", "abaqus-pair", "calculix", "radioss", "optistruct", "csv", "vtu"] | None,
+        Literal[
+            "abaqus",
+            "abaqus-pair",
+            "abaqus-layup",
+            "calculix",
+            "calculix-layup",
+            "radioss",
+            "optistruct",
+            "csv",
+            "vtu",
+            "pyacp",
+        ]
+        | None,
         about("Fibre directions by element.", group=PRODUCT),
     ] = None,
     trim: Annotated[
@@ -587,7 +599,9 @@ def export(
     within: Annotated[
         Length | None, about("Farther is off the sheet (spacing of a mesh; thickness for a line).")
     ] = None,
-    axis: Annotated[Literal["warp", "weft", "bisector"], about("calculix: local 1.")] = "warp",
+    axis: Annotated[
+        Literal["warp", "weft", "bisector"], about("calculix, layups: local 1.")
+    ] = "warp",
     reference: Annotated[
         tuple[float, float, float],
         word(_direction, "X,Y,Z"),

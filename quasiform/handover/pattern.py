@@ -17,13 +17,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..checks import InputError, check_number, optional
-from ..comparison.mapping import closest, on_surface, spacing
+from ..comparison.mapping import beyond_edge, on_surface, spacing
 from ..result.files import replaced
 from ..result.sheet import FormedSheet
 from ..tables import read_table
-from ..tools.mending import normals_of
 from .drawing import Drawing, write_csv, write_dxf, write_svg
-from .fibres import limits_of, read_formed
+from .fibres import ASIDE, limits_of, read_formed
 from .keywords import NOTICES, write_notices
 
 if TYPE_CHECKING:
@@ -35,7 +34,6 @@ if TYPE_CHECKING:
 FloatArray = np.ndarray
 Line = str | Path | FloatArray | Sequence[Sequence[float]]
 STEP = 0.25  # of the spacing: distance of the points that are mapped
-ASIDE = 0.01  # of the spacing: how far beside the rim of the sheet a line has left it
 HALVINGS = 30  # of an edge, to find where a line crosses it
 JUMP = 3.0  # flat step over formed step: the line has passed from one fold to another
 FILES = ("pattern.dxf", "pattern.svg", "pattern.csv", "pattern.txt")
@@ -133,7 +131,7 @@ def flat_pattern(
             if curve.shape[1] == 2:
                 lines += _seen(sheet, plan, notices)
             else:
-                lines.append(_mapped(sheet, curve, reach, edges, notices))
+                lines.append(_mapped(sheet, curve, reach, notices))
     for line in lines:
         if _closed(line) and not shapely.LinearRing(line).is_simple:
             notices.append("the flat line crosses itself")
@@ -175,9 +173,7 @@ def curves(trim: Line, scale: float) -> list[FloatArray]:
     return found
 
 
-def _mapped(
-    sheet: FormedSheet, curve: FloatArray, reach: float, edges: list[FloatArray], notices: list[str]
-) -> FloatArray:
+def _mapped(sheet: FormedSheet, curve: FloatArray, reach: float, notices: list[str]) -> FloatArray:
     """Flat closed line of a closed line in space."""
     import shapely
 
@@ -190,12 +186,7 @@ def _mapped(
             f"the trim line is nowhere within {reach:.3g} mm of the formed sheet, at best "
             f"{distance.min():.3g} mm away: are its place and its unit (scale) those of the part?"
         )
-    _, corners, nearest = closest(points, sheet)
-    n, arm = normals_of(sheet.points[corners]), points - nearest
-    aside = np.linalg.norm(np.cross(arm, n), axis=1) / np.linalg.norm(n, axis=1)
-    at_edge = shapely.distance(shapely.points(flat), shapely.MultiLineString(edges))
-    at_edge = at_edge < 1e-6 * np.ptp(sheet.flat)
-    left = (distance > reach) | (at_edge & (aside > ASIDE * size))
+    left = (distance > reach) | beyond_edge(sheet, points, ASIDE * size)
     step = np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1)
     if left.any():
         x, y, z = points[left][distance[left].argmax()]
