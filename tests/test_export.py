@@ -1143,6 +1143,52 @@ def test_scene_of_a_result_is_found_from_any_folder(tmp_path, monkeypatch, where
     assert np.abs(np.linalg.norm(line, axis=1) - 70.0 / 0.9).max() < 0.05
 
 
+def test_a_ply_book_has_a_page_a_ply_to_scale(stack, tmp_path):
+    content = json.loads((stack / "summary.json").read_text())
+    content["parameters"]["plies"][1]["plies"] = [2, 3]
+    (stack / "summary.json").write_text(json.dumps(content))
+    book = qf.ply_book(stack, tmp_path / "book")
+    text = book.read_text(encoding="utf-8")
+    titles = re.findall(r"<h1>(.*)</h1>", text)
+    assert titles == ["Ply 1 of 3", "Ply 2 of 3", "Ply 3 of 3"]
+    assert "Under the punch, over ply 2" in text
+    assert "Joined to ply 2, on the die" in text
+    own = re.findall(r'class="own"><td>(.*)</td>', text)
+    name, angle, thickness, area, weight = own[0].split("</td><td>")[1:]
+    assert (name, angle, thickness) == ("fabric 1", "30°", "1.2 mm")
+    assert (area, weight) == ("100.0 cm²", "5.0 g")  # 500 g/m²
+    assert own[1].split("</td><td>")[3] == "0.6 mm"
+    size, view = re.search(r'<svg .*width="(.*?)mm".*viewBox="0 0 (.*?) ', text).groups()
+    assert float(size) < 182
+    assert float(view) == pytest.approx(float(size))  # 110 mm fit at 1:1
+    wide = write_stack(tmp_path / "wide", [dome, lower_dome])
+    mesh = meshio.read(wide / "result.vtu")
+    mesh.points *= 4.0
+    mesh.point_data["displacement"] *= 4.0
+    mesh.write(wide / "result.vtu")
+    text = qf.ply_book(wide, tmp_path / "wide-book").read_text(encoding="utf-8")
+    size, view = re.search(r'<svg .*width="(.*?)mm".*viewBox="0 0 (.*?) ', text).groups()
+    assert float(view) == pytest.approx(2.5 * float(size), rel=1e-4)
+    assert "mm, 1:2.5<" in text
+    assert ">100 mm</text>" in text
+    arrow = re.findall(r'id="MARKS".*?points="(.*?)"', text, re.DOTALL)[1]
+    (x, y), (a, b) = (map(float, p.split(",")) for p in arrow.split()[:2])
+    assert np.degrees(np.arctan2(y - b, a - x)) == pytest.approx(75.0, abs=0.1)
+
+
+def test_flat_patterns_of_a_stack_are_of_each_ply(stack, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert main(["export", str(stack), "--trim", "edge", "--out", str(out)]) == 0
+    names = {path.name for path in out.iterdir()}
+    assert {"ply_1_pattern.csv", "ply_2_pattern.csv", "ply_2_pattern.svg"} < names
+    assert (
+        "known part, ply 2 of 2 at 75°: 1 line to cut, 10000 mm² inside" in capsys.readouterr().out
+    )
+    assert main(["export", str(stack), "--trim", "edge", "--out", str(out)]) == 2
+    assert main(["export", str(stack), "--ply-book", "edge", "--out", str(out)]) == 0
+    assert "ply_book.html" in capsys.readouterr().out
+
+
 # Wrong input
 
 

@@ -580,6 +580,11 @@ def export(
         about("Flat pattern of a line, the sheet's edge or the die's opening.", group=PRODUCT),
         Parameter(metavar="FILE.csv|edge|die"),
     ] = None,
+    ply_book: Annotated[
+        str | None,
+        about("A page to print for each ply, with this flat pattern.", group=PRODUCT),
+        Parameter(metavar="FILE.csv|edge|die"),
+    ] = None,
     deck: Annotated[bool, about("Abaqus/Explicit deck of a scene.", group=PRODUCT)] = False,
     mesh: Annotated[File | None, about("--to: structural mesh (the formed sheet's).")] = None,
     scale: Annotated[Factor, about("Unit of length of the mesh or line in mm.")] = 1.0,
@@ -611,7 +616,8 @@ def export(
     output: Output = Output(),
 ) -> None:
     """Fibre directions for a structural code, a flat pattern, or an Abaqus deck (of a scene)."""
-    from ..handover import handover, pattern
+    from ..handover import book, handover, pattern
+    from ..result.record import Record
 
     path, force = Path(source), output.force
     if deck:
@@ -622,13 +628,23 @@ def export(
         notes = qf.abaqus_deck(model, folder / file, force=force)
         terminal.say(*terminal.notes(notes), terminal.files(folder, (file,)))
     elif trim:
-        folder = output.folder(f"{path.resolve().name}-pattern", pattern.FILES)
-        found = qf.flat_pattern(path, trim, within=within, scale=scale)
-        found.save(folder, force=force)
-        lines = "1 line" if len(found.trim) == 1 else f"{len(found.trim)} lines"
-        terminal.say(f"writing to {folder}", f"{lines} to cut, {found.area:.6g} mm² inside")
-        terminal.say(*terminal.notes(found.notices, pattern.NOT_MODELLED, "pattern.txt"))
-        terminal.say(terminal.files(folder, pattern.FILES))
+        names = (*pattern.FILES, *(f"ply_*_{name}" for name in pattern.FILES))
+        folder = output.folder(f"{path.resolve().name}-pattern", names)
+        given = {"within": within, "scale": scale}
+        plies = Record.read(path).plies
+        found = [qf.flat_pattern(ply, trim, **given) for ply in plies]
+        terminal.say(f"writing to {folder}")
+        for one in found:
+            one.save(folder, force=force)
+            lines = "1 line" if len(one.trim) == 1 else f"{len(one.trim)} lines"
+            terminal.say(f"{one.name}: {lines} to cut, {one.area:.6g} mm² inside")
+            terminal.say(*terminal.notes(one.notices, pattern.NOT_MODELLED, one.files[-1]))
+            terminal.say(terminal.files(folder, one.files))
+    elif ply_book:
+        folder = output.folder(f"{path.resolve().name}-ply-book", (book.FILE,))
+        terminal.say(f"writing to {folder}")
+        given = {"within": within, "scale": scale, "force": force}
+        terminal.say(f"file: {qf.ply_book(path, folder, ply_book, **given)}")
     else:
         folder = output.folder(f"{path.resolve().name}-{to}", handover.FILES)
         how = {"mesh": mesh, "scale": scale, "within": within, "axis": axis}

@@ -55,9 +55,12 @@ class FlatPattern(Drawing):
         Flat unit vectors of warp (0°) and weft (90°).
     notices : tuple of str
         What the pattern does not hold: that of this one, then that of them all (`NOT_MODELLED`).
+    ply : int
+        Its number in a stack.
     """
 
     notices: tuple[str, ...] = ()
+    ply: int = 0
 
     @property
     def area(self) -> float:
@@ -68,15 +71,21 @@ class FlatPattern(Drawing):
         return float(reduce(shapely.symmetric_difference, rings, shapely.Polygon()).area)
 
     def save(self, out: str | Path, *, force: bool = False) -> Path:
-        """Write `FILES` (the .dxf with ezdxf only) into `out`; `force` replaces an earlier one."""
-        with replaced(out, force=force, names=FILES) as folder:
+        """Write `files` (the .dxf with ezdxf only) into `out`; `force` replaces an earlier one."""
+        dxf, drawing, points, words = self.files
+        with replaced(out, force=force, names=self.files) as folder:
             if not _without_dxf():
-                write_dxf(self, folder / "pattern.dxf")
-            write_csv(self, folder / "pattern.csv")
-            write_svg(self, folder / "pattern.svg")
+                write_dxf(self, folder / dxf)
+            write_csv(self, folder / points)
+            write_svg(self, folder / drawing)
             title = f"Flat pattern of {self.name}, seen from the upper side (the punch's)"
-            write_notices(folder / "pattern.txt", title, self.notices)
+            write_notices(folder / words, title, self.notices)
         return Path(out)
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """Names of its files: `FILES`, of a ply of a stack with its number before them."""
+        return tuple(f"ply_{self.ply}_{name}" if self.ply else name for name in FILES)
 
 
 def flat_pattern(
@@ -136,7 +145,9 @@ def flat_pattern(
         if _closed(line) and not shapely.LinearRing(line).is_simple:
             notices.append("the flat line crosses itself")
     notices += _without_dxf()
-    return FlatPattern(record.case, lines, edges, sheet.along, (*notices, *NOT_MODELLED))
+    name = ", ".join(filter(None, [record.case, record.ply_name]))
+    ply = record.ply * bool(record.ply_name)
+    return FlatPattern(name, lines, edges, sheet.along, (*notices, *NOT_MODELLED), ply)
 
 
 def _without_dxf() -> list[str]:
