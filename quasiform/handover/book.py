@@ -48,7 +48,29 @@ def ply_book(
     scale: float = 1.0,
     force: bool = False,
 ) -> Path:
-    """Write `ply_book.html` into a folder; `trim` and the others are those of `flat_pattern`."""
+    """Write an HTML file to print, a page a ply: flat pattern, fibre direction, order, weight.
+
+    Parameters
+    ----------
+    source : Result, Record or path
+        A run, or the folder of one.
+    out : path
+        Folder for `ply_book.html`; made if missing.
+    trim, within, scale
+        The line to cut along, as for `flat_pattern`.
+    force : bool
+        Whether to replace an earlier book.
+
+    Returns
+    -------
+    path
+        Of the file.
+
+    Raises
+    ------
+    InputError
+        As `flat_pattern` does, and for a folder that holds a book.
+    """
     record = read_formed(source)
     pages = [
         page
