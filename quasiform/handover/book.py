@@ -56,7 +56,7 @@ def ply_book(
         A run, or the folder of one.
     out : path
         Folder for `ply_book.html`; made if missing.
-    trim, within, scale
+    trim, within, scale : optional
         The line to cut along, as for `flat_pattern`.
     force : bool
         Whether to replace an earlier book.
