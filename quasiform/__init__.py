@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from .console.progress import progress
     from .energy.term import Term
     from .fabric import Fabric, MomentCurve, Slip, TabulatedLaw, ThreeStageLaw
-    from .handover import FlatPattern, Handover, abaqus_deck, export, flat_pattern
+    from .handover import FlatPattern, Handover, abaqus_deck, export, flat_pattern, ply_book
     from .identification import Identification, identify
     from .model import Model
     from .net.blank import Blank, rectangle
@@ -55,6 +55,7 @@ _MODULES = {  # where each public name is; its module is imported when the name 
     "compare": "comparison",
     "export": "handover",
     "flat_pattern": "handover",
+    "ply_book": "handover",
     "forming": "scenes.forming",
     "identify": "identification",
     "off_axis_tension": "scenes.fabric_tests",

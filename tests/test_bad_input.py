@@ -470,6 +470,45 @@ def test_scenes_with_changed_values_are_built_or_refused(place, scene):
     run("scene values", folder, "form", "scene.toml", "--size", "20", "--dry-run")
 
 
+PLIES = """
+law = "locking"
+[[plies]]
+orientation = 0.0
+[[plies]]
+orientation = 45.0
+friction = { value = 0.25, standing = "measured" }
+fabric = { thickness = 1.2 }
+[[plies]]
+law = "best-fit"
+blank = { shape = "disc", radius = 70.0, holes = [{ shape = "disc", radius = 9.0 }] }
+offset = [5.0, -3.0]
+[[plies]]
+law = "best-fit"
+blank = { shape = "disc", radius = 70.0, holes = [{ shape = "disc", radius = 9.0 }] }
+offset = [5.0, -3.0]
+joined = true
+"""
+STACKS = [BASES[0] | tomllib.loads(PLIES), BASES[0] | {"plies": [{}, {"joined": True}]}]
+
+
+@st.composite
+def changed_plies(draw):
+    """A scene with plies, with one to three changes in them; at times one more of them."""
+    scene = deepcopy(draw(st.sampled_from(STACKS)))
+    plies = draw(changed([{"plies": scene.pop("plies")}]))
+    if isinstance(plies.get("plies"), list) and draw(st.booleans()):
+        plies["plies"] += plies["plies"][-1:] * draw(st.sampled_from([1, 1, 2, 12]))
+    return scene | plies
+
+
+@cases(0.5)
+@given(scene=changed_plies())
+def test_plies_with_changed_values_are_built_or_refused(place, scene):
+    folder = place()
+    (folder / "scene.toml").write_text(toml(scene), "utf-8")
+    run("plies", folder, "form", "scene.toml", "--size", "16", "--dry-run")
+
+
 @cases(1.0)
 @given(content=st.sampled_from(SCENES).flatmap(lambda scene: mangled(toml(scene).encode())))
 def test_scenes_with_damaged_bytes_are_built_or_refused(place, content):

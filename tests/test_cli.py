@@ -840,7 +840,7 @@ def test_export_hands_over_what_a_run_left(here, capsys, undrawn):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["run"], "Exactly 1 of {--to, --trim, --deck} must be specified"),
+        (["run"], "Exactly 1 of {--to, --trim, --ply-book, --deck} must be specified"),
         (["run", "--to", "calculx"], "did you mean 'calculix'?"),
         (["run", "--to", "csv"], "run: no such folder"),
         (["run", "--to", "csv", "--reference", "0,0,0"], "expected X,Y,Z of a direction"),

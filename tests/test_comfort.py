@@ -21,6 +21,7 @@ from quasiform.console.progress import _words
 from quasiform.fabric import PRESETS
 from quasiform.handover import fibres, handover
 from quasiform.identification import campaign, fit
+from quasiform.result.record import Record
 from quasiform.result.summary import package_version
 from quasiform.scenes import scene_file
 from quasiform.solve import linear
@@ -137,11 +138,13 @@ def test_doctor_does_not_trust_a_wrong_solution(monkeypatch):
 @pytest.mark.parametrize(("lines", "words"), [(1, "1 line to cut"), (2, "2 lines to cut")])
 def test_lines_to_cut(monkeypatch, capsys, lines, words):
     pattern = SimpleNamespace(
-        trim=[None] * lines, area=2.0, notices=(), save=lambda folder, force: None
+        **{"name": "part", "trim": [None] * lines, "area": 2.0, "notices": (), "files": ("a",)},
+        save=lambda folder, force: None,
     )
+    monkeypatch.setattr(Record, "read", lambda folder: SimpleNamespace(plies=[None]))
     monkeypatch.setattr(qf, "flat_pattern", lambda *given, **named: pattern)
     assert main(["export", "x", "--trim", "edge", "--out", "out"]) == 0
-    assert f"\n{words}, 2 mm² inside\n" in capsys.readouterr().out
+    assert f"\npart: {words}, 2 mm² inside\n" in capsys.readouterr().out
 
 
 # Expected time

@@ -83,6 +83,33 @@ def write_result(folder, form, n=11, orientation=30.0, half=HALF, scene=None, **
     return folder
 
 
+def write_stack(folder, forms, orientations=(30.0, 75.0)):
+    """Write the folder of a run of two plies or more, each formed by a known map."""
+    parts = [
+        meshio.read(write_result(folder, form, orientation=turn) / "result.vtu")
+        for form, turn in zip(forms, orientations, strict=True)
+    ]
+    starts = np.cumsum([0, *(len(part.points) for part in parts)])
+    cells = [part.cells[0].data + n for part, n in zip(parts, starts[:-1], strict=True)]
+    moved = np.vstack([part.point_data["displacement"] for part in parts])
+    names = parts[0].cell_data
+    cell_data = {n: [np.concatenate([part.cell_data[n][0] for part in parts])] for n in names}
+    numbers = [np.full(len(part), k) for k, part in enumerate(cells, 1)]
+    cell_data["ply"] = [np.concatenate(numbers).astype(float)]
+    x = np.vstack([part.points for part in parts])
+    surface = [("triangle", np.vstack(cells))]
+    meshio.Mesh(x, surface, {"displacement": moved}, cell_data).write(folder / "result.vtu")
+    content = json.loads((folder / "summary.json").read_text())
+    content["plies"] = [{}] * len(parts)
+    layers = [
+        {"plies": [k], "orientation": turn, "fabric": FABRIC | {"name": f"fabric {k}"}}
+        for k, turn in enumerate(orientations, 1)
+    ]
+    content["parameters"]["plies"] = layers
+    (folder / "summary.json").write_text(json.dumps(content))
+    return folder
+
+
 A = np.array([[1.2, 0.3], [-0.1, 0.9]])
 TILT = np.array([[0.8, 0.0, -0.6], [0.0, 1.0, 0.0], [0.6, 0.0, 0.8]])
 
@@ -465,6 +492,158 @@ def test_calculix_returns_the_orientation_on_a_dome(tmp_path):
     true = np.degrees(np.arctan2(np.abs(across[:, 0]), np.abs(fibres.warp[:, 0])))
     assert np.abs(seen - true).max() < 0.5
     assert np.ptp(true) > 5  # there is something to tell apart
+
+
+# Stacks
+
+
+def lower_dome(X):
+    """A ply under the dome, stretched otherwise."""
+    return dome(X * [1.05, 0.98]) - [0.0, 0.0, 1.2]
+
+
+@pytest.fixture
+def stack(tmp_path):
+    return write_stack(tmp_path / "r", [dome, lower_dome])
+
+
+def upside_down(tmp_path):
+    """Mesh of quadrilaterals and triangles on the dome, with some normals turned over."""
+    X, triangles, quads = mesh_of(6, 35.0)
+    cells = [("triangle", triangles[15:20, ::-1]), ("quad", quads[:9])]
+    meshio.Mesh(dome(X) - [0, 0, 0.6], cells).write(tmp_path / "shell.vtk")
+    return tmp_path / "shell.vtk"
+
+
+@pytest.mark.parametrize("to", ["abaqus", "csv", "radioss", "pyacp"])
+def test_each_ply_of_a_stack_has_files_of_its_own(stack, tmp_path, to):
+    handed = export(stack, to, tmp_path / "out")
+    for k, (form, turn) in enumerate([(dome, 30.0), (lower_dome, 75.0)], 1):
+        alone = write_result(tmp_path / f"alone{k}", form, orientation=turn)
+        one = export(alone, to, tmp_path / f"one{k}")
+        assert {f"ply_{k}_{name}" for name in one.files if "handover" not in name} < {*handed.files}
+        np.testing.assert_allclose(handed.plies[k - 1].warp, one.fibres.warp, atol=1e-9)
+        np.testing.assert_allclose(handed.plies[k - 1].thickness, one.fibres.thickness)
+    if to == "abaqus":
+        frame = distribution(blocks(tmp_path / "out" / "ply_2_part.inp"), "WARP_POINTS")
+        np.testing.assert_allclose(frame[1][:3], handed.plies[1].warp[0], atol=1e-8)
+    told = (tmp_path / "out" / "handover.txt").read_text(encoding="utf-8")
+    assert "each ply of the stack" in told
+    assert "one ply is handed over" not in told
+    with pytest.raises(InputError, match="holds a result already"):
+        export(stack, to, tmp_path / "out")
+
+
+def test_columns_of_pyacp_are_warp_thickness_and_transverse_correction(stack, tmp_path):
+    handed = export(stack, "pyacp", tmp_path / "out")
+    rows = np.genfromtxt(tmp_path / "out" / "ply_2_lookup.csv", delimiter=",", names=True)
+    fibres = handed.plies[1]
+    warp = np.column_stack([rows[f"warp_{c}"] for c in "xyz"])
+    np.testing.assert_allclose(warp, fibres.warp, atol=1e-8)
+    n, turn = fibres.target.normals, np.radians(90.0 + rows["draping_angle_2_deg"])[:, None]
+    weft = np.cos(turn) * warp + np.sin(turn) * np.cross(n, warp)
+    np.testing.assert_allclose(weft, fibres.weft, atol=1e-6)
+    np.testing.assert_allclose(rows["thickness_mm"], fibres.thickness, rtol=1e-8)
+
+
+def test_a_layup_for_abaqus_has_the_plies_in_order_in_every_element(stack, tmp_path):
+    mesh = upside_down(tmp_path)
+    handed = export(stack, "abaqus-layup", tmp_path / "out", mesh=mesh)
+    found, plies = blocks(tmp_path / "out" / "part.inp"), handed.plies
+    up = np.cross(plies[0].warp, plies[0].weft) * plies[0].target.normals
+    up = up.sum(1) > 0
+    assert 0 < up.sum() < len(up)
+    sections = named(found, "SHELL SECTION")
+    assert len(sections) == len(up)
+    for row, (given, layers) in enumerate(sections):
+        assert given["ELSET"] == f"F{plies[0].target.elements[row]}"
+        order = [2, 1] if up[row] else [1, 2]
+        assert [layer[2:] for layer in layers] == [[f"PLY_{k}", f"PLY_{k}_AXES"] for k in order]
+        thickness = [plies[k - 1].thickness[row] for k in order]
+        np.testing.assert_allclose([float(layer[0]) for layer in layers], thickness, rtol=1e-8)
+    for k, ply in enumerate(plies, 1):
+        frames = np.array([*distribution(found, f"PLY_{k}_POINTS").values()])
+        np.testing.assert_allclose(frames[:, :3], ply.warp, atol=1e-8)
+        across = np.cross(ply.target.normals, ply.warp)
+        np.testing.assert_allclose(frames[:, 3:], across, atol=1e-7)
+
+
+def test_joined_plies_are_layers_and_a_smaller_ply_ends(stack, tmp_path):
+    """Two joined plies halve the thickness of their sheet; outside a ply its layer is missing."""
+    content = json.loads((stack / "summary.json").read_text())
+    content["parameters"]["plies"][0]["plies"] = [1, 2]
+    (stack / "summary.json").write_text(json.dumps(content))
+    X, _, quads = mesh_of(40, 60.0)
+    meshio.Mesh(dome(X), [("quad", quads)]).write(tmp_path / "wide.vtk")
+    handed = export(stack, "abaqus-layup", tmp_path / "out", mesh=tmp_path / "wide.vtk")
+    sections = named(blocks(tmp_path / "out" / "part.inp"), "SHELL SECTION")
+    layers = {int(given["ELSET"][1:]): data for given, data in sections}
+    one, other = (ply.known for ply in handed.plies)
+    wanted = {(True, True): [2, 1, 1], (True, False): [1, 1], (False, True): [2]}
+    found = set()
+    for row in np.flatnonzero(one | other):
+        found.add(covered := (bool(one[row]), bool(other[row])))
+        data = layers.pop(row + 1)
+        assert [layer[2] for layer in data] == [f"PLY_{k}" for k in wanted[covered]]
+        if one[row]:
+            assert float(data[-1][0]) == pytest.approx(handed.fibres.thickness[row] / 2)
+    assert found == set(wanted)
+    assert not layers
+
+
+def tables(path):
+    """Rows of numbers of the tables in a file that CalculiX printed."""
+    rows = path.read_text().split("for set")[1:]
+    cells = [[line.split() for line in table.splitlines()] for table in rows]
+    numbers = [[row[:8] for row in table if len(row) > 4 and row[0].isdigit()] for table in cells]
+    return [np.array(table, dtype=float) for table in numbers]
+
+
+@ccx
+@pytest.mark.parametrize("mesh", ["formed", "own"])
+def test_calculix_returns_the_orientation_of_every_ply_of_a_layup(stack, tmp_path, mesh):
+    """Stresses along the local and along the global axes tell the frame R of every layer.
+
+    Held and heated, a layer that expands along its local 1 alone has one large stress s11. If the
+    frame that was written is off by small angles, stresses that it turns back have s12 and s13
+    too large by these angles times s11 - s22.
+    """
+    handed = export(
+        *(stack, "calculix-layup", tmp_path / "out"),
+        mesh=upside_down(tmp_path) if mesh == "own" else None,
+    )
+    text = (tmp_path / "out" / "part.inp").read_text()
+    expansion = "*EXPANSION, TYPE=ORTHO, ZERO=0.\n1e-3, 0., 0.\n"
+    ends = re.compile(r"^(?=\*(MATERIAL, NAME=PLY_2|SHELL SECTION))", re.MULTILINE)
+    text = ends.sub(expansion, text, count=2)
+    lines = ["*INITIAL CONDITIONS, TYPE=TEMPERATURE", "FORMED_NODES, 0."]
+    lines += ["*BOUNDARY", "FORMED_NODES, 1, 6", "*STEP", "*STATIC"]
+    lines += ["*TEMPERATURE", "FORMED_NODES, 1.", "*EL PRINT, ELSET=FORMED, GLOBAL={}", "S, COORD"]
+    for name in ("YES", "NO"):
+        job = text + "\n".join([*lines, "*END STEP", ""]).format(name)
+        (tmp_path / "out" / f"{name}.inp").write_text(job)
+        given = {"cwd": tmp_path / "out", "capture_output": True, "text": True, "timeout": 120}
+        done = subprocess.run(["ccx", name], **given)
+        assert "Job finished" in done.stdout, done.stdout[-2000:]
+    (seen, at), (own, _) = (tables(tmp_path / "out" / f"{name}.dat") for name in ("YES", "NO"))
+    seen_s, own_s = (t[:, [2, 5, 6, 5, 3, 7, 6, 7, 4]].reshape(-1, 3, 3) for t in (seen, own))
+    labels, worst = handed.fibres.target.elements, 0.0
+    assert np.unique(seen[:, 0]).tolist() == labels.tolist()
+    for row in range(len(labels)):
+        n, mine = handed.fibres.target.normals[row], np.flatnonzero(seen[:, 0] == labels[row])
+        upper = np.cross(handed.fibres.warp, handed.fibres.weft)[row] @ n
+        rising = mine[np.argsort(at[mine, 2:] @ n * np.sign(upper))]
+        half = len(mine) // 2
+        for ply, points in ((1, rising[:half]), (0, rising[half:])):  # ply 1 is above
+            warp = handed.plies[ply].warp[row]
+            R = np.column_stack([warp, np.cross(n, warp), n])
+            back = R.T @ seen_s[points] @ R - own_s[points]
+            large = own_s[points, 0, 0] - own_s[points, 1, 1]
+            assert (large < -1.0).all()
+            off = np.linalg.norm(back[:, 0, 1:], axis=1) / np.abs(large)
+            worst = max(worst, np.degrees(off.max()))
+    print(f"largest angle {worst:.2g} degrees")
+    assert worst < 0.01
 
 
 @pytest.mark.parametrize("to", ["radioss", "optistruct"])
@@ -962,6 +1141,52 @@ def test_scene_of_a_result_is_found_from_any_folder(tmp_path, monkeypatch, where
         return
     (line,) = flat_pattern(folder, "die").trim
     assert np.abs(np.linalg.norm(line, axis=1) - 70.0 / 0.9).max() < 0.05
+
+
+def test_a_ply_book_has_a_page_a_ply_to_scale(stack, tmp_path):
+    content = json.loads((stack / "summary.json").read_text())
+    content["parameters"]["plies"][1]["plies"] = [2, 3]
+    (stack / "summary.json").write_text(json.dumps(content))
+    book = qf.ply_book(stack, tmp_path / "book")
+    text = book.read_text(encoding="utf-8")
+    titles = re.findall(r"<h1>(.*)</h1>", text)
+    assert titles == ["Ply 1 of 3", "Ply 2 of 3", "Ply 3 of 3"]
+    assert "Under the punch, over ply 2" in text
+    assert "Joined to ply 2, on the die" in text
+    own = re.findall(r'class="own"><td>(.*)</td>', text)
+    name, angle, thickness, area, weight = own[0].split("</td><td>")[1:]
+    assert (name, angle, thickness) == ("fabric 1", "30°", "1.2 mm")
+    assert (area, weight) == ("100.0 cm²", "5.0 g")  # 500 g/m²
+    assert own[1].split("</td><td>")[3] == "0.6 mm"
+    size, view = re.search(r'<svg .*width="(.*?)mm".*viewBox="0 0 (.*?) ', text).groups()
+    assert float(size) < 182
+    assert float(view) == pytest.approx(float(size))  # 110 mm fit at 1:1
+    wide = write_stack(tmp_path / "wide", [dome, lower_dome])
+    mesh = meshio.read(wide / "result.vtu")
+    mesh.points *= 4.0
+    mesh.point_data["displacement"] *= 4.0
+    mesh.write(wide / "result.vtu")
+    text = qf.ply_book(wide, tmp_path / "wide-book").read_text(encoding="utf-8")
+    size, view = re.search(r'<svg .*width="(.*?)mm".*viewBox="0 0 (.*?) ', text).groups()
+    assert float(view) == pytest.approx(2.5 * float(size), rel=1e-4)
+    assert "mm, 1:2.5<" in text
+    assert ">100 mm</text>" in text
+    arrow = re.findall(r'id="MARKS".*?points="(.*?)"', text, re.DOTALL)[1]
+    (x, y), (a, b) = (map(float, p.split(",")) for p in arrow.split()[:2])
+    assert np.degrees(np.arctan2(y - b, a - x)) == pytest.approx(75.0, abs=0.1)
+
+
+def test_flat_patterns_of_a_stack_are_of_each_ply(stack, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert main(["export", str(stack), "--trim", "edge", "--out", str(out)]) == 0
+    names = {path.name for path in out.iterdir()}
+    assert {"ply_1_pattern.csv", "ply_2_pattern.csv", "ply_2_pattern.svg"} < names
+    assert (
+        "known part, ply 2 of 2 at 75°: 1 line to cut, 10000 mm² inside" in capsys.readouterr().out
+    )
+    assert main(["export", str(stack), "--trim", "edge", "--out", str(out)]) == 2
+    assert main(["export", str(stack), "--ply-book", "edge", "--out", str(out)]) == 0
+    assert "ply_book.html" in capsys.readouterr().out
 
 
 # Wrong input

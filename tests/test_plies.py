@@ -9,6 +9,7 @@ from scipy.integrate import solve_ivp
 
 import quasiform as qf
 from quasiform import theory
+from quasiform.draw import view
 from quasiform.energy.bending import Bending
 from quasiform.energy.contact import Contact
 from quasiform.energy.friction import STICK
@@ -17,7 +18,9 @@ from quasiform.energy.plies import PlyContact, PlyFriction
 from quasiform.energy.weight import GRAVITY, SheetWeight, ToolWeight
 from quasiform.recipe import Recipe
 from quasiform.result.assumed import assumed
+from quasiform.result.plies import between_plies
 from quasiform.result.record import Record
+from quasiform.result.sheet import FormedSheet
 from quasiform.scenes.fabric_tests import hanging_strip
 from quasiform.scenes.stack import joined
 from quasiform.tools.shapes import Plane, flipped
@@ -346,8 +349,55 @@ def test_folder_of_a_stack(formed, tmp_path):
         assert (tmp_path / "out" / f"ply_{k}.vtu").is_file()
         assert (whole.cell_fields["ply"] == k).sum() == len(own.triangles)
     assert {"ply_2_draw_in_mm", "slip_1_2_mm"} <= set(record.history)
+    of_second = Record.read(tmp_path / "out", ply=2)
+    assert of_second.summary["shear_angle_deg"] == record.summary["plies"][1]["shear_angle_deg"]
+    assert (record.ply_name, of_second.ply_name) == ("ply 1 of 2 at 0°", "ply 2 of 2 at 45°")
+    assert of_second.fabric["thickness"] == T0
+    everything = Record.read(tmp_path / "out", ply=0).sheet
+    assert_allclose(everything.points, whole.points, atol=1e-9)
+    assert_allclose(everything.flat, whole.flat, atol=1e-9)
+    with pytest.raises(qf.InputError, match="no ply 3 of 2"):
+        Record.read(tmp_path / "out", ply=3)
     again = qf.forming(str(tmp_path / "out" / "scene.toml"))
     assert again.parameters["plies"] == formed.model.parameters["plies"]
+
+
+def test_slip_and_thickness_between_plies_are_fields(formed):
+    """On a dome that is pressed: two plies thick where they touch, one where they are parted."""
+    stack = formed.stack_at().point_fields
+    slid = np.concatenate(
+        [c.slid(formed.model.x0, formed.states[-1].x) for c in formed.model.ply_contacts]
+    )
+    assert_allclose(stack["slip_1_2"], np.nan_to_num(slid), atol=1e-12)
+    (above, below), x = on_a_dome()
+    model = replace(formed.model, sheets=[above, below], x0=x)
+    model.terms = [PlyContact(above, below, True), PlyContact(below, above, False)]
+    fields = between_plies(model, x)
+    own = [t0_over_area(ply, x) for ply in (above, below)]
+    middle = np.abs(above.blank.nodes).max(1) < 15.0
+    assert_allclose(fields[0]["stack_thickness"][middle], sum(map(np.mean, own)), rtol=0.02)
+    x[above.dofs[:, 2]] += 0.2 * T0
+    parted = between_plies(model, x)[0]["stack_thickness"]
+    assert_allclose(parted, own[0], rtol=1e-9)
+
+
+def t0_over_area(ply, x):
+    sheet = FormedSheet(ply.positions(x), ply.blank.triangles, ply.blank.nodes)
+    return sheet.at_nodes(T0 / sheet.area_ratio)
+
+
+def test_the_view_of_a_stack_has_all_plies_and_a_choice(formed, tmp_path):
+    pytest.importorskip("plotly")
+    whole = formed.record.of_ply(0)
+    assert len(view.figure(whole).data[0].i) == len(formed.stack_at().triangles)
+    page = view.save(whole, tmp_path / "view.html").read_text(encoding="utf-8")
+    assert '<select id="ply"><option value="0">all</option>' in page
+    assert page.count("<option>") == 2
+    numbers = view._Numbers()
+    content = view._content(whole, numbers)
+    assert {"slip_1_2", "stack_thickness"} < {name for name, *_ in content["fields"]}
+    assert len(content["meshes"][0]["lines"]["outline"]) == 2
+    assert 'id="ply"' not in view.save(formed.record, tmp_path / "one.html").read_text("utf-8")
 
 
 def test_a_stopped_run_of_a_stack_is_continued_as_it_was(formed, tmp_path):

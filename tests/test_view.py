@@ -154,7 +154,7 @@ def test_browser_tells_the_shear_angle_under_the_pointer(formed, tmp_path):
 
 
 SLIP = {"slip_warp", "slip_weft", "E22_warp_layer", "E11_weft_layer"}  # of a fabric with slip
-FOUND = set(view.FIELDS) - SLIP - {"error"}
+FOUND = set(view.FIELDS) - SLIP - {"error", "stack_thickness"}
 
 
 def test_page_holds_every_field_state_and_tool(formed, tmp_path):

@@ -13,6 +13,7 @@ import numpy as np
 from ..checks import InputError, optional
 from ..net.transfer import interpolated
 from ..result.sheet import FormedSheet
+from ..tools.mending import normals_of
 
 FloatArray = np.ndarray
 ANGLE = "shear_angle"
@@ -88,3 +89,16 @@ def closest(points: FloatArray, sheet: FormedSheet) -> tuple[FloatArray, np.ndar
         np.ascontiguousarray(sheet.triangles, dtype=np.int64),
     )
     return np.sqrt(squared), sheet.triangles[triangle], nearest
+
+
+def beyond_edge(sheet: FormedSheet, points: FloatArray, aside: float) -> np.ndarray:
+    """(n,) bool: points (n, 3) that lie more than `aside` mm outside the rim of a formed sheet."""
+    import shapely
+
+    _, corners, nearest = closest(points, sheet)
+    flat, _ = on_surface(sheet.flat, sheet, points)
+    rim = shapely.MultiLineString([sheet.flat[loop] for loop in sheet.loops])
+    at_edge = shapely.distance(shapely.points(flat), rim) < 1e-6 * np.ptp(sheet.flat)
+    n = normals_of(sheet.points[corners])
+    off = np.linalg.norm(np.cross(points - nearest, n), axis=1) / np.linalg.norm(n, axis=1)
+    return at_edge & (off > aside)

@@ -554,13 +554,58 @@ def compare(
     return 0 if comparison.held else 1
 
 
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Target:
+    """The structural mesh or line that `export` maps, and how."""
+
+    mesh: Annotated[File | None, about("--to: structural mesh (the formed sheet's).")] = None
+    scale: Annotated[Factor, about("Unit of length of the mesh or line in mm.")] = 1.0
+    origin: Annotated[
+        tuple[float, float, float],
+        word(_three, "X,Y,Z"),
+        about("Point of the mesh, mm, that lies at the origin of the part."),
+    ] = (0.0, 0.0, 0.0)
+    rotate: Annotated[
+        tuple[float, float, float],
+        word(_three, "X,Y,Z"),
+        about("Turn of the mesh about x, y and z to the part, degrees."),
+    ] = (0.0, 0.0, 0.0)
+    align: Annotated[
+        Literal["none", "shift", "rigid"], about("Move the mesh to where it fits the part best.")
+    ] = "none"
+    within: Annotated[
+        Length | None, about("Farther is off the sheet (spacing of a mesh; thickness for a line).")
+    ] = None
+    axis: Annotated[Literal["warp", "weft", "bisector"], about("calculix, layups: local 1.")] = (
+        "warp"
+    )
+    reference: Annotated[
+        tuple[float, float, float],
+        word(_direction, "X,Y,Z"),
+        about("radioss, optistruct: direction from which angles are measured."),
+    ] = (1.0, 0.0, 0.0)
+
+
 @app.command
 def export(
     source: Annotated[str, about("Folder of a result; with --deck a scene.")],
     /,
     *,
     to: Annotated[
-        Literal["abaqus", "abaqus-pair", "calculix", "radioss", "optistruct", "csv", "vtu"] | None,
+        Literal[
+            "abaqus",
+            "abaqus-pair",
+            "abaqus-layup",
+            "calculix",
+            "calculix-layup",
+            "radioss",
+            "optistruct",
+            "csv",
+            "vtu",
+            "pyacp",
+        ]
+        | None,
         about("Fibre directions by element.", group=PRODUCT),
     ] = None,
     trim: Annotated[
@@ -568,38 +613,21 @@ def export(
         about("Flat pattern of a line, the sheet's edge or the die's opening.", group=PRODUCT),
         Parameter(metavar="FILE.csv|edge|die"),
     ] = None,
-    deck: Annotated[bool, about("Abaqus/Explicit deck of a scene.", group=PRODUCT)] = False,
-    mesh: Annotated[File | None, about("--to: structural mesh (the formed sheet's).")] = None,
-    scale: Annotated[Factor, about("Unit of length of the mesh or line in mm.")] = 1.0,
-    origin: Annotated[
-        tuple[float, float, float],
-        word(_three, "X,Y,Z"),
-        about("Point of the mesh, mm, that lies at the origin of the part."),
-    ] = (0.0, 0.0, 0.0),
-    rotate: Annotated[
-        tuple[float, float, float],
-        word(_three, "X,Y,Z"),
-        about("Turn of the mesh about x, y and z to the part, degrees."),
-    ] = (0.0, 0.0, 0.0),
-    align: Annotated[
-        Literal["none", "shift", "rigid"], about("Move the mesh to where it fits the part best.")
-    ] = "none",
-    within: Annotated[
-        Length | None, about("Farther is off the sheet (spacing of a mesh; thickness for a line).")
+    ply_book: Annotated[
+        str | None,
+        about("A page to print for each ply, with this flat pattern.", group=PRODUCT),
+        Parameter(metavar="FILE.csv|edge|die"),
     ] = None,
-    axis: Annotated[Literal["warp", "weft", "bisector"], about("calculix: local 1.")] = "warp",
-    reference: Annotated[
-        tuple[float, float, float],
-        word(_direction, "X,Y,Z"),
-        about("radioss, optistruct: direction from which angles are measured."),
-    ] = (1.0, 0.0, 0.0),
+    deck: Annotated[bool, about("Abaqus/Explicit deck of a scene.", group=PRODUCT)] = False,
+    place: Target = Target(),
     options: Scene = Scene(),
     output: Output = Output(),
 ) -> None:
     """Fibre directions for a structural code, a flat pattern, or an Abaqus deck (of a scene)."""
-    from ..handover import handover, pattern
+    from ..handover import book, handover
 
-    path, force = Path(source), output.force
+    path, force, how = Path(source), output.force, asdict(place)
+    line = {key: how[key] for key in ("within", "scale")}
     if deck:
         model = options.model(source)
         file = f"{_case(model.name)}.inp"
@@ -608,21 +636,35 @@ def export(
         notes = qf.abaqus_deck(model, folder / file, force=force)
         terminal.say(*terminal.notes(notes), terminal.files(folder, (file,)))
     elif trim:
-        folder = output.folder(f"{path.resolve().name}-pattern", pattern.FILES)
-        found = qf.flat_pattern(path, trim, within=within, scale=scale)
-        found.save(folder, force=force)
-        lines = "1 line" if len(found.trim) == 1 else f"{len(found.trim)} lines"
-        terminal.say(f"writing to {folder}", f"{lines} to cut, {found.area:.6g} mm² inside")
-        terminal.say(*terminal.notes(found.notices, pattern.NOT_MODELLED, "pattern.txt"))
-        terminal.say(terminal.files(folder, pattern.FILES))
+        _flat_patterns(path, trim, line, output)
+    elif ply_book:
+        folder = output.folder(f"{path.resolve().name}-ply-book", (book.FILE,))
+        terminal.say(f"writing to {folder}")
+        written = qf.ply_book(path, folder, ply_book, **line, force=force)
+        terminal.say(f"file: {written}")
     else:
         folder = output.folder(f"{path.resolve().name}-{to}", handover.FILES)
-        how = {"mesh": mesh, "scale": scale, "within": within, "axis": axis}
-        how |= {"origin": origin, "rotate": rotate, "align": align}
-        handed = qf.export(path, to, folder, **how, reference=reference, force=force)
+        handed = qf.export(path, to, folder, **how, force=force)
         terminal.say(f"writing to {folder}")
         terminal.say(*terminal.notes(handed.notices, handed.general, handover.NOTES))
         terminal.say(terminal.files(folder, handed.files))
+
+
+def _flat_patterns(path: Path, trim: str, line: Mapping[str, Any], output: Output) -> None:
+    """Write the flat pattern of each ply."""
+    from ..handover import pattern
+    from ..result.record import Record
+
+    names = (*pattern.FILES, *(f"ply_*_{name}" for name in pattern.FILES))
+    folder = output.folder(f"{path.resolve().name}-pattern", names)
+    found = [qf.flat_pattern(ply, trim, **line) for ply in Record.read(path).plies]
+    terminal.say(f"writing to {folder}")
+    for one in found:
+        one.save(folder, force=output.force)
+        lines = "1 line" if len(one.trim) == 1 else f"{len(one.trim)} lines"
+        terminal.say(f"{one.name}: {lines} to cut, {one.area:.6g} mm² inside")
+        terminal.say(*terminal.notes(one.notices, pattern.NOT_MODELLED, one.files[-1]))
+        terminal.say(terminal.files(folder, one.files))
 
 
 @app.command
@@ -693,7 +735,7 @@ def view(
     /,
     *,
     travel: Annotated[Length | None, about("Show the state nearest to it (the last).")] = None,
-    ply: Annotated[Count, about("Of a stack, from the punch down.")] = 1,
+    ply: Annotated[Count | None, about("One of a stack, from the punch down (all).")] = None,
     open: Annotated[bool, about("Open the page in the browser.")] = False,
     summary: Annotated[
         bool, about("One page to read instead, HTML and PDF, for somebody who did not run it.")
@@ -709,7 +751,7 @@ def view(
     from ..draw import page, view
     from ..result.record import Record
 
-    run = Record.read(folder, ply)
+    run = Record.read(folder, ply or int(summary))
     if travel is not None:
         run = run.near(travel)
     name = _case(run.name) + "-summary" * summary

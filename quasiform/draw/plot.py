@@ -29,6 +29,7 @@ from ..checks import number
 from ..net.blank import Blank
 from ..net.edges import edge_points
 from ..result.measures import SLIP_GRADIENT, percentile
+from ..result.plies import apart
 from ..result.record import Record
 from ..result.sheet import FormedSheet
 from .overlay import level_lines, tool_cuts
@@ -230,8 +231,8 @@ def _title(run: Record) -> str:
     size, path = run.parameters.get("size"), summary.get("path_size_mm")
     size = size if isinstance(size, Real) else run.sheet.blank.size
     travel, force, unit = words_of(run)
-    case = [run.case, run.fabric_name, f"size {size:.3g} mm"]
-    case[2] += f" (path at {path:.3g} mm)" if path else ""
+    case = [run.case, *filter(None, [run.ply_name]), run.fabric_name, f"size {size:.3g} mm"]
+    case[-1] += f" (path at {path:.3g} mm)" if path else ""
     case.append(f"{travel} {summary['reached_mm']:.4g}{' mm' if unit == 'N' else ''}")
     gamma, errors = summary["shear_angle_deg"], summary["error_estimate"]
     off = {name: "" if e is None else f" ± {number(e, 2)}" for name, e in errors.items()}
@@ -398,8 +399,11 @@ def extent(sheet: FormedSheet) -> float:
 
 
 def shown_fibres(sheet: FormedSheet) -> np.ndarray:
-    """(n_segments, 2) nodes of some twenty fibre lines of a family."""
-    return fibre_lines(sheet.blank, max(sheet.blank.size, extent(sheet) / 20))
+    """(n_segments, 2) nodes of some twenty fibre lines of a family of each ply."""
+    plies = apart(sheet)
+    return np.vstack(
+        [nodes[fibre_lines(p.blank, max(p.blank.size, extent(p) / 20))] for nodes, p in plies]
+    )
 
 
 def rim(sheet: FormedSheet) -> np.ndarray:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import base64
 import gzip
+import re
 from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
@@ -19,6 +20,7 @@ from matplotlib.colors import to_hex
 
 from ..checks import InputError
 from ..result.files import writing_to
+from ..result.plies import apart
 from ..result.record import Record
 from ..result.sheet import FormedSheet
 from . import plot
@@ -200,12 +202,14 @@ def _content(run: Record, numbers: _Numbers) -> dict[str, Any]:
     meshes: list[dict[str, Any]] = []
     states, seen, last = [], [], None
     ranges: dict[str, list[float]] = {}
+    shown = run.plies if run.ply == 0 else [run]
+    weights = np.array([ply.fabric.get("areal_weight", np.nan) for ply in shown])
     for k in chosen:
         sheet = run.sheets[k]
         if last is None or not np.array_equal(sheet.triangles, last):
             last = sheet.triangles
             meshes.append(_mesh(sheet, numbers))
-        found = _fields(run, sheet)
+        found = _fields(run, sheet, weights)
         for name, values in found.items():
             known = values[np.isfinite(values)]
             ends = [*ranges.get(name, []), known.min(), np.quantile(known, 0.998)]
@@ -232,9 +236,17 @@ def _content(run: Record, numbers: _Numbers) -> dict[str, Any]:
         "travel": "load factor" if run.force_unit == "mJ" else plot.words_of(run)[0],
         "unit": " mm" if run.force_unit == "N" else "",
         "above": ABOVE * plot.extent(run.sheet),
-        "fields": [(name, *FIELDS[name]) for name in FIELDS if name in ranges],
+        "plies": len(shown),
+        "fields": [(name, *words) for name in ranges if (words := _named(name))],
         "doubts": [(colour, words) for colour, words, _ in plot.limits_of(run).values()],
     }
+
+
+def _named(field: str) -> tuple[str, str]:
+    """Name and unit of a field in the choice of the page."""
+    if pair := re.fullmatch(r"slip_(\d+)_(\d+)", field):
+        return f"slip between plies {pair[1]} and {pair[2]}", "mm"
+    return FIELDS[field]
 
 
 FIELDS = {  # in the choice of the page: name and unit
@@ -247,6 +259,7 @@ FIELDS = {  # in the choice of the page: name and unit
     "slip_weft": ("slip of the weft along itself", "mm"),
     "E22_warp_layer": ("E22 of the warp layer: gaps where positive", ""),
     "E11_weft_layer": ("E11 of the weft layer: gaps where positive", ""),
+    "stack_thickness": ("thickness of the plies that lie on each other", "mm"),
     "error": ("mesh error of the shear angle", "°"),
     "limit": ("limits of the shear angle", ""),
 }
@@ -260,26 +273,31 @@ def _chosen(run: Record) -> list[int]:
 
 
 def _mesh(sheet: FormedSheet, numbers: _Numbers) -> dict[str, Any]:
-    """Triangles, the flat places of their middles, and lines of nodes with gaps of -1."""
-    lines = {"fibres": plot.shown_fibres(sheet), "outline": sheet.loops}
-    gap = np.array([-1])
+    """Triangles, the flat places of their middles, and lines of nodes of each ply, gaps of -1."""
+    lines: dict[str, list[Any]] = {"fibres": [], "outline": []}
+    for nodes, ply in apart(sheet):
+        for name, found in (("fibres", plot.shown_fibres(ply)), ("outline", ply.loops)):
+            parts = [part for line in found for part in (nodes[line], [-1])]
+            lines[name].append(numbers.add(np.concatenate([np.empty(0, dtype=int), *parts])))
+    number = sheet.cell_fields.get("ply", np.ones(len(sheet.triangles)))
     return {
         "triangles": numbers.add(sheet.triangles.T),
         "flat": numbers.add(sheet.flat[sheet.triangles].mean(1)),
-        "lines": {
-            name: numbers.add(np.concatenate([part for line in found for part in (line, gap)]))
-            for name, found in lines.items()
-            if len(found)
-        },
+        "ply": numbers.add(np.ravel(number).astype(int)),
+        "lines": lines,
     }
 
 
-def _fields(run: Record, sheet: FormedSheet) -> dict[str, FloatArray]:
-    """Fields by triangle that the sheet has, by name; the shear angle is signed."""
+def _fields(run: Record, sheet: FormedSheet, weights: FloatArray) -> dict[str, FloatArray]:
+    """Fields by triangle that the sheet has, by name; the shear angle is signed.
+
+    `weights` (n_plies,) are those of the flat fabrics, g/m².
+    """
     cells, corners = sheet.cell_fields, sheet.triangles
     found = {"shear": sheet.shear_angle}
-    if weight := run.fabric.get("areal_weight"):
-        found["weight"] = weight / np.maximum(sheet.area_ratio, 1e-6)
+    number = np.ravel(cells["ply"]).astype(int) - 1 if len(weights) > 1 else 0
+    if np.isfinite(weights).all() and weights.all():
+        found["weight"] = weights[number] / np.maximum(sheet.area_ratio, 1e-6)
     for name in ("warp", "weft"):
         turn = np.degrees(np.arctan2(cells[name][:, 1], cells[name][:, 0]))
         found[name] = turn
@@ -287,9 +305,9 @@ def _fields(run: Record, sheet: FormedSheet) -> dict[str, FloatArray]:
         found["pressure"] = np.ravel(sheet.point_fields["contact_pressure"])[corners].mean(1)
     if "shear_angle_error" in cells:
         found["error"] = np.ravel(cells["shear_angle_error"])
-    for name in ("slip_warp", "slip_weft"):
-        if name in sheet.point_fields:
-            found[name] = np.ravel(sheet.point_fields[name])[corners].mean(1)
+    for name, values in sheet.point_fields.items():
+        if name == "stack_thickness" or name.startswith("slip_"):
+            found[name] = np.ravel(values)[corners].mean(1)
     for name in ("E22_warp_layer", "E11_weft_layer"):
         if name in cells:
             found[name] = np.ravel(cells[name])

@@ -89,28 +89,14 @@ def abaqus_deck(
     nodes, labels = 1 + np.arange(len(places)), 1 + np.arange(len(blank.triangles))
     offset = 10 ** len(str(max(nodes[-1], labels[-1])))
     tools = _tools(model, places, spacing, (offset, offset * (1 + bends)))
-    end = model.prescribed(model.travel)[0] - model.x0  # over the whole travel, mm
-    travel = np.where(model.fixed & (np.abs(end) > 1e-12), end, 0.0)
-    moved, fixed = travel[model.sheet.dofs], model.fixed[model.sheet.dofs]
-    supports = []  # name of a set, its nodes, what is fixed
-    for axis, plane in enumerate("xy"):
-        if plane in blank.mirror:
-            on = np.abs(blank.nodes[:, axis]) < 1e-9
-            fixed[on, axis] = False
-            supports.append((f"MIRROR_{plane.upper()}", nodes[on], f"{plane.upper()}SYMM"))
-    for axis, held in enumerate((fixed & (moved == 0)).T, 1):
-        if held.any():
-            supports.append((f"HELD_{axis}", nodes[held], f"{axis}, {axis}"))
-    driven = [rigid for rigid in tools if rigid.tool.motion == "driven"]
-    motions = [(f"{rigid.name}_REF", 3, travel[rigid.dof]) for rigid in driven]
-    motions += [(str(k + 1), axis + 1, moved[k, axis]) for k, axis in np.argwhere(moved)]
-    time = max(float(np.abs(moved).max()), model.travel if driven else 0.0, 1.0) / speed
+    supports, motions, clamped, longest = _driven(model, nodes, tools)
+    time = max(longest, 1.0) / speed
     settling = [("the holder comes to rest", SETTLE)] * any(rigid.free for rigid in tools)
     others = [term for term in model.terms if not isinstance(term, KNOWN)]
     values = {"model": model, "bends": bends, "tools": tools, **_material(model, bends)}
     notices = render(
         "deck_notices.txt",
-        **{"clamped": bends and fixed.any(), "soft": SOFT, **values},
+        **{"clamped": bends and clamped, "soft": SOFT, **values},
         unknown=[getattr(term, "name", type(term).__name__) for term in others],
     ).splitlines()
     words = [f"Fabric {model.sheet.fabric.name}. Units N, mm, s, t, MPa.", *notices]
@@ -125,6 +111,33 @@ def abaqus_deck(
     except OSError as error:
         raise InputError(f"cannot write to {path}: {error.strerror or error}") from error
     return tuple(notices)
+
+
+def _driven(
+    model: Model, nodes: np.ndarray, tools: list[_Rigid]
+) -> tuple[list[tuple[str, np.ndarray, str]], list[tuple[str, int, float]], bool, float]:
+    """Supports (set, nodes, what is fixed), motions (node, axis, mm), and two facts of them.
+
+    Whether any node is held beside mirror planes, and the longest way, mm.
+    """
+    blank = model.sheet.blank
+    end = model.prescribed(model.travel)[0] - model.x0  # over the whole travel, mm
+    travel = np.where(model.fixed & (np.abs(end) > 1e-12), end, 0.0)
+    moved, fixed = travel[model.sheet.dofs], model.fixed[model.sheet.dofs]
+    supports = []
+    for axis, plane in enumerate("xy"):
+        if plane in blank.mirror:
+            on = np.abs(blank.nodes[:, axis]) < 1e-9
+            fixed[on, axis] = False
+            supports.append((f"MIRROR_{plane.upper()}", nodes[on], f"{plane.upper()}SYMM"))
+    for axis, held in enumerate((fixed & (moved == 0)).T, 1):
+        if held.any():
+            supports.append((f"HELD_{axis}", nodes[held], f"{axis}, {axis}"))
+    driven = [rigid for rigid in tools if rigid.tool.motion == "driven"]
+    motions = [(f"{rigid.name}_REF", 3, travel[rigid.dof]) for rigid in driven]
+    motions += [(str(k + 1), axis + 1, moved[k, axis]) for k, axis in np.argwhere(moved)]
+    longest = max(float(np.abs(moved).max()), model.travel if driven else 0.0)
+    return supports, motions, bool(fixed.any()), longest
 
 
 def constants(fabric: Fabric) -> list[float]:

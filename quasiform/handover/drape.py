@@ -41,7 +41,7 @@ def drape(fibres: Fibres, folder: Path, file: str, reference: FloatArray) -> tup
     angles = {family: fibres.angle(family, projected)[kept] for family in FAMILIES}
     fill(
         file,
-        folder / file,
+        folder / f"{fibres.prefix}{file}",
         **{"header": fibres.notices, "name": fibres.name, "along": along},
         nodes=list(zip(target.nodes, *target.points.T, strict=True)) if fibres.own else [],
         cells=list(zip(target.elements, *corners.T, strict=True)) if fibres.own else [],

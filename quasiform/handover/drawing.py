@@ -12,7 +12,8 @@ from .keywords import render
 
 FloatArray = np.ndarray
 ARROW = 0.15  # of the blank's size
-SIDE = "upper side (punch side) towards you; mm, 1:1"
+SIDE = "upper side (punch side) towards you; mm, 1:{:g}"
+SCALES = (1.0, 2.0, 2.5, 5.0, 10.0, 20.0, 25.0, 50.0, 100.0)
 LAYERS = {"BLANK": (8, "#777777"), "TRIM": (1, "#d00000"), "MARKS": (5, "#0050b0")}
 """Layers with their colours: numbers in DXF, names in SVG."""
 
@@ -49,10 +50,22 @@ def write_dxf(pattern: Drawing, path: Path) -> None:
 
 def write_svg(pattern: Drawing, path: Path) -> None:
     """Write the same as SVG; a unit of its view is a millimetre."""
+    head = '<?xml version="1.0" encoding="UTF-8"?>\n'
+    path.write_text(f"{head}{svg(pattern)}\n", encoding="utf-8")
+
+
+def svg(pattern: Drawing, room: tuple[float, float] | None = None) -> str:
+    """Element `svg` of a pattern at 1:1, or at the first of `SCALES` that fits a room on paper, mm.
+
+    A drawing that is not 1:1 has a bar of known length.
+    """
     points = np.vstack([*pattern.blank, *pattern.trim])
     margin = 0.05 * float(np.ptp(points, axis=0).max())
     low, high = points.min(0) - [margin, 2 * margin], points.max(0) + margin  # words below
-    lines, words = _content(pattern)
+    size = high - low
+    fits = [scale for scale in SCALES if room is None or (size / scale <= room).all()]
+    scale = fits[0] if fits else SCALES[-1]
+    lines, words = _content(pattern, scale)
 
     def seen(p: FloatArray) -> list[str]:
         """Places in the view, where y points down."""
@@ -63,9 +76,9 @@ def write_svg(pattern: Drawing, path: Path) -> None:
         for layer, (_, colour) in LAYERS.items()
     ]
     words = [(*seen(at)[0].split(","), f"{size:.4f}", text) for text, at, size in words]
-    size = [f"{length:.4f}" for length in high - low]
-    text = render("pattern.svg", name=pattern.name, size=size, layers=layers, words=words)
-    path.write_text(text + "\n", encoding="utf-8")
+    given = {"name": pattern.name, "layers": layers, "words": words, "width": 0.25 * scale}
+    given |= {"view": [f"{length:.4f}" for length in size]}
+    return render("pattern.svg", size=[f"{v:.4f}" for v in size / scale], **given)
 
 
 def write_csv(pattern: Drawing, path: Path) -> None:
@@ -76,7 +89,7 @@ def write_csv(pattern: Drawing, path: Path) -> None:
 
 
 def _content(
-    pattern: Drawing,
+    pattern: Drawing, scale: float = 1.0
 ) -> tuple[dict[str, list[FloatArray]], list[tuple[str, FloatArray, float]]]:
     """Lines (k, 2) by layer; words, where they begin, and how high they are, mm."""
     points = np.vstack(pattern.blank)
@@ -92,5 +105,9 @@ def _content(
         back = tip - height * along
         arrows.append(np.array([centre, tip, back + across, tip, back - across]))
         words.append((text, tip + height * along, height))
-    words.append((f"{pattern.name}: {SIDE}", low - [0.0, 2.0 * height], height))
+    words.append((f"{pattern.name}: {SIDE.format(scale)}", low - [0.0, 2.0 * height], height))
+    if scale != 1:  # a bar of round length above
+        left, bar = np.array([low[0], high[1] + height]), 10.0 ** np.floor(np.log10(0.5 * size))
+        arrows.append(np.array([left, left + np.array([bar, 0.0])]))
+        words.append((f"{bar:g} mm", left + np.array([0.0, 0.3 * height]), height))
     return {"BLANK": pattern.blank, "TRIM": pattern.trim, "MARKS": arrows}, words

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from ..checks import InputError, check_number
-from ..comparison.mapping import on_surface, spacing
+from ..comparison.mapping import beyond_edge, on_surface, spacing
 from ..meshes.shells import Shells
 from ..result.record import Record
 from .keywords import NOTICES
@@ -26,6 +26,7 @@ from .keywords import NOTICES
 FloatArray = np.ndarray
 AXES = ("warp", "weft", "bisector")
 FAMILIES = ("warp", "weft")
+ASIDE = 0.01  # of the spacing: how far outside the rim a point has left the sheet
 STEEP = 30.0  # degrees between an element and the sheet: beyond, the projection is doubtful
 
 
@@ -42,6 +43,13 @@ class Fibres:
     fabric: Mapping[str, Any] = field(default_factory=dict)  # thickness, areal_weight, laws
     own: bool = True  # whether the mesh is the formed one
     notices: tuple[str, ...] = ()
+    ply: int = 0  # its number, of a stack
+    joined: int = 1  # how many plies are joined in it
+
+    @property
+    def prefix(self) -> str:
+        """How the names of its files begin."""
+        return f"ply_{self.ply}_" if self.ply else ""
 
     @property
     def bisector(self) -> FloatArray:
@@ -115,17 +123,23 @@ def carry(record: Record, target: Shells | None = None, within: float | None = N
     Elements whose centroid is farther than `within` from the sheet (mm; by default the spacing of
     the formed mesh) get nothing; InputError if none is near.
     """
-    sheet, notices = record.sheet, [*limits_of(record), *NOTICES["fibres"]]
+    sheet, several = record.sheet, bool(record.ply_name)
+    notices = [*limits_of(record), NOTICES["of_a_stack" if several else "one_ply"]]
+    notices += NOTICES["fibres"]
+    name = ", ".join(filter(None, [record.case, record.ply_name]))
+    stack = {"ply": record.ply * several, "joined": len(record.layer.get("plies", "1"))}
     values = [sheet.cell_fields["warp"], sheet.cell_fields["weft"], sheet.area_ratio]
     if target is None:
         target = Shells.counted(sheet.points, sheet.triangles)
         known = np.ones(len(target.elements), dtype=bool)
-        own = (record.case, target, known, *values, record.fabric, True)
-        return Fibres(*own, tuple(notices))
+        own = (name, target, known, *values, record.fabric, True)
+        return Fibres(*own, tuple(notices), **stack)
     reach = spacing(sheet) if within is None else check_number("within", within)
     nodal = np.column_stack([sheet.at_nodes(column) for column in np.column_stack(values).T])
     found, distance = on_surface(nodal, sheet, target.centroids)
     known = distance <= reach
+    if several:  # the next ply may lie there
+        known &= ~beyond_edge(sheet, target.centroids, ASIDE * spacing(sheet))
     if not known.any():
         raise InputError(
             f"no element of the mesh is within {reach:.3g} mm of the formed sheet, the nearest is "
@@ -137,7 +151,8 @@ def carry(record: Record, target: Shells | None = None, within: float | None = N
         out = (direction * n).sum(1)
         steep |= np.abs(out) > np.sin(np.radians(STEEP))
         axes.append(_unit(direction - out[:, None] * n))
-    far = f"of {len(known)} elements are farther than {reach:.3g} mm from the sheet and get no"
+    off = f"{reach:.3g} mm from the sheet{' or lie outside its edge' * several}"
+    far = f"of {len(known)} elements are farther than {off} and get no"
     tilted = f"elements are tilted by more than {STEEP:g}° out of the sheet, their fibres are"
     turned = "elements have their normal against the sheet's upper side: seen along it the weft"
     for those, words in (
@@ -151,8 +166,8 @@ def carry(record: Record, target: Shells | None = None, within: float | None = N
             notices.append(f"{those.sum()} {words}: {', '.join(some)}")
     most = f"{distance[known].max():.3g} mm"
     notices.append(f"mapped by the closest point of the formed mid-surface, at most {most} away")
-    mapped = (record.case, target, known, *axes, found[:, 6], record.fabric, False)
-    return Fibres(*mapped, tuple(notices))
+    mapped = (name, target, known, *axes, found[:, 6], record.fabric, False)
+    return Fibres(*mapped, tuple(notices), **stack)
 
 
 def _unit(vectors: FloatArray) -> FloatArray:

@@ -43,11 +43,11 @@ def abaqus(fibres: Fibres, folder: Path, pair: bool = False) -> tuple[str, ...]:
         sets["FORMED_MEMBRANE"] = MEMBRANES, offset
     labels = [fibres.target.elements[known] + more for _, more in sets.values()]
     warp, weft, shear = moduli(fibres)
-    _fill(
+    fill_files(
         *("abaqus", fibres, folder, sets),
         labels=np.concatenate(labels),
         thickness=np.tile(fibres.thickness[known], len(sets)),
-        frames={axis.upper(): np.tile(_frame(fibres, axis), (len(sets), 1)) for axis in AXES},
+        frames={axis.upper(): np.tile(axes_of(fibres, axis), (len(sets), 1)) for axis in AXES},
         materials={"WARP_LAYER": 2 * warp, "WEFT_LAYER": 2 * weft, "MEMBRANE": shear},
         **{"pair": pair, "shear": shear},
     )
@@ -61,11 +61,11 @@ def calculix(fibres: Fibres, folder: Path, axis: str = "warp") -> tuple[str, ...
         raise InputError(f"axis must be one of {', '.join(AXES)}, got {axis!r}")
     warp, weft, shear = moduli(fibres)
     E = {"warp": (warp, weft), "weft": (weft, warp), "bisector": (0.5 * (warp + weft),) * 2}[axis]
-    _fill(
+    fill_files(
         *("calculix", fibres, folder, {"FORMED": (CALCULIX, 0)}),
         labels=fibres.target.elements[fibres.known],
         thickness=fibres.target.at_nodes(fibres.thickness),
-        frame=_frame(fibres, axis),
+        frame=axes_of(fibres, axis),
         **{"axis": axis, "E": E, "shear": shear},
     )
     angle = f"{np.abs(fibres.shear_angle[fibres.known]).max():.1f}°"
@@ -73,7 +73,7 @@ def calculix(fibres: Fibres, folder: Path, axis: str = "warp") -> tuple[str, ...
     return *(NOTICES[name] for name in ("stand_in", "at_nodes", "one_each")), frame
 
 
-def _fill(code: str, fibres: Fibres, folder: Path, sets: Sets, **values: Any) -> None:
+def fill_files(code: str, fibres: Fibres, folder: Path, sets: Sets, /, **values: Any) -> None:
     """Write mesh.inp with the known elements, once a set; fibres.inp and part.inp of a code."""
     target, fabric = fibres.target, fibres.fabric
     blocks, used = [], []
@@ -90,14 +90,20 @@ def _fill(code: str, fibres: Fibres, folder: Path, sets: Sets, **values: Any) ->
         *fibres.notices,
         NOTICES["stand_in"],
     ]
-    density = max(DENSITY * fabric["areal_weight"] / fabric["thickness"], 1e-20)
-    values |= {"name": fibres.name, "header": header, "t0": fabric["thickness"]}
-    values |= {"density": density, "target": target, "used": used, "blocks": blocks}
-    for file, prefix in zip(FILES, ("", f"{code}_", f"{code}_"), strict=True):
-        fill(f"{prefix}{file}", folder / file, **values)
+    values = {"header": header, "density": density(fibres), "t0": fabric["thickness"]} | values
+    values |= {"name": fibres.name, "prefix": fibres.prefix}
+    values |= {"target": target, "used": used, "blocks": blocks}
+    for file, start in zip(FILES, ("", f"{code}_", f"{code}_"), strict=True):
+        fill(f"{start}{file}", folder / f"{fibres.prefix}{file}", **values)
 
 
-def _frame(fibres: Fibres, axis: str) -> FloatArray:
+def density(fibres: Fibres) -> float:
+    """Density of the fabric, t/mm³."""
+    fabric = fibres.fabric
+    return max(DENSITY * fabric["areal_weight"] / fabric["thickness"], 1e-20)
+
+
+def axes_of(fibres: Fibres, axis: str) -> FloatArray:
     """(k, 6) local 1 along a fibre and local 2 at a right angle to it in the element's plane."""
     along = getattr(fibres, axis)[fibres.known]
     return np.hstack([along, np.cross(fibres.target.normals[fibres.known], along)])

@@ -17,13 +17,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..checks import InputError, check_number, optional
-from ..comparison.mapping import closest, on_surface, spacing
+from ..comparison.mapping import beyond_edge, on_surface, spacing
 from ..result.files import replaced
 from ..result.sheet import FormedSheet
 from ..tables import read_table
-from ..tools.mending import normals_of
 from .drawing import Drawing, write_csv, write_dxf, write_svg
-from .fibres import limits_of, read_formed
+from .fibres import ASIDE, limits_of, read_formed
 from .keywords import NOTICES, write_notices
 
 if TYPE_CHECKING:
@@ -35,7 +34,6 @@ if TYPE_CHECKING:
 FloatArray = np.ndarray
 Line = str | Path | FloatArray | Sequence[Sequence[float]]
 STEP = 0.25  # of the spacing: distance of the points that are mapped
-ASIDE = 0.01  # of the spacing: how far beside the rim of the sheet a line has left it
 HALVINGS = 30  # of an edge, to find where a line crosses it
 JUMP = 3.0  # flat step over formed step: the line has passed from one fold to another
 FILES = ("pattern.dxf", "pattern.svg", "pattern.csv", "pattern.txt")
@@ -57,9 +55,12 @@ class FlatPattern(Drawing):
         Flat unit vectors of warp (0°) and weft (90°).
     notices : tuple of str
         What the pattern does not hold: that of this one, then that of them all (`NOT_MODELLED`).
+    ply : int
+        Its number in a stack.
     """
 
     notices: tuple[str, ...] = ()
+    ply: int = 0
 
     @property
     def area(self) -> float:
@@ -70,15 +71,21 @@ class FlatPattern(Drawing):
         return float(reduce(shapely.symmetric_difference, rings, shapely.Polygon()).area)
 
     def save(self, out: str | Path, *, force: bool = False) -> Path:
-        """Write `FILES` (the .dxf with ezdxf only) into `out`; `force` replaces an earlier one."""
-        with replaced(out, force=force, names=FILES) as folder:
+        """Write `files` (the .dxf with ezdxf only) into `out`; `force` replaces an earlier one."""
+        dxf, drawing, points, words = self.files
+        with replaced(out, force=force, names=self.files) as folder:
             if not _without_dxf():
-                write_dxf(self, folder / "pattern.dxf")
-            write_csv(self, folder / "pattern.csv")
-            write_svg(self, folder / "pattern.svg")
+                write_dxf(self, folder / dxf)
+            write_csv(self, folder / points)
+            write_svg(self, folder / drawing)
             title = f"Flat pattern of {self.name}, seen from the upper side (the punch's)"
-            write_notices(folder / "pattern.txt", title, self.notices)
+            write_notices(folder / words, title, self.notices)
         return Path(out)
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """Names of its files: `FILES`, of a ply of a stack with its number before them."""
+        return tuple(f"ply_{self.ply}_{name}" if self.ply else name for name in FILES)
 
 
 def flat_pattern(
@@ -133,12 +140,14 @@ def flat_pattern(
             if curve.shape[1] == 2:
                 lines += _seen(sheet, plan, notices)
             else:
-                lines.append(_mapped(sheet, curve, reach, edges, notices))
+                lines.append(_mapped(sheet, curve, reach, notices))
     for line in lines:
         if _closed(line) and not shapely.LinearRing(line).is_simple:
             notices.append("the flat line crosses itself")
     notices += _without_dxf()
-    return FlatPattern(record.case, lines, edges, sheet.along, (*notices, *NOT_MODELLED))
+    name = ", ".join(filter(None, [record.case, record.ply_name]))
+    ply = record.ply * bool(record.ply_name)
+    return FlatPattern(name, lines, edges, sheet.along, (*notices, *NOT_MODELLED), ply)
 
 
 def _without_dxf() -> list[str]:
@@ -175,9 +184,7 @@ def curves(trim: Line, scale: float) -> list[FloatArray]:
     return found
 
 
-def _mapped(
-    sheet: FormedSheet, curve: FloatArray, reach: float, edges: list[FloatArray], notices: list[str]
-) -> FloatArray:
+def _mapped(sheet: FormedSheet, curve: FloatArray, reach: float, notices: list[str]) -> FloatArray:
     """Flat closed line of a closed line in space."""
     import shapely
 
@@ -190,12 +197,7 @@ def _mapped(
             f"the trim line is nowhere within {reach:.3g} mm of the formed sheet, at best "
             f"{distance.min():.3g} mm away: are its place and its unit (scale) those of the part?"
         )
-    _, corners, nearest = closest(points, sheet)
-    n, arm = normals_of(sheet.points[corners]), points - nearest
-    aside = np.linalg.norm(np.cross(arm, n), axis=1) / np.linalg.norm(n, axis=1)
-    at_edge = shapely.distance(shapely.points(flat), shapely.MultiLineString(edges))
-    at_edge = at_edge < 1e-6 * np.ptp(sheet.flat)
-    left = (distance > reach) | (at_edge & (aside > ASIDE * size))
+    left = (distance > reach) | beyond_edge(sheet, points, ASIDE * size)
     step = np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1)
     if left.any():
         x, y, z = points[left][distance[left].argmax()]

@@ -26,7 +26,7 @@ def table(fibres: Fibres, folder: Path) -> tuple[str, ...]:
     vectors = {f"{c}_mm": column for c, column in zip("xyz", target.centroids.T, strict=True)}
     for axis in AXES:
         vectors |= dict(zip([f"{axis}_{c}" for c in "xyz"], getattr(fibres, axis).T, strict=True))
-    with (folder / "fibres.csv").open("w", newline="", encoding="utf-8") as file:
+    with (folder / f"{fibres.prefix}fibres.csv").open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(["element", *values, *(f"n{k}" for k in (1, 2, 3, 4)), *vectors])
         for row in np.flatnonzero(fibres.known):
@@ -34,6 +34,20 @@ def table(fibres: Fibres, folder: Path) -> tuple[str, ...]:
             cells += ["" if c < 0 else target.nodes[c] for c in target.corners[row]]
             writer.writerow([*cells, *(f"{column[row]:.9g}" for column in vectors.values())])
     return (NOTICES["theta"],)
+
+
+def lookup(fibres: Fibres, folder: Path) -> tuple[str, ...]:
+    """Write lookup.csv, the columns of a look-up table of PyACP, a row an element; notices.
+
+    About the sheet's upper side the weft is 90° - γ from the warp, the transverse direction 90°.
+    """
+    known = fibres.known
+    values = [fibres.target.centroids, fibres.warp, fibres.thickness, -fibres.shear_angle]
+    heading = "x_mm,y_mm,z_mm,warp_x,warp_y,warp_z,thickness_mm,draping_angle_2_deg"
+    look = {"fmt": "%.9g", "delimiter": ",", "newline": "\r\n", "comments": ""}
+    path = folder / f"{fibres.prefix}lookup.csv"
+    np.savetxt(path, np.column_stack(values)[known], header=heading, **look)
+    return (NOTICES["pyacp"],)
 
 
 def grid(fibres: Fibres, folder: Path) -> tuple[str, ...]:
@@ -48,5 +62,5 @@ def grid(fibres: Fibres, folder: Path) -> tuple[str, ...]:
     cells = [(kind, target.corners[rows, :corners]) for kind, corners, rows in blocks]
     by_cell = {name: [v[rows] for *_, rows in blocks] for name, v in fields.items()}
     mesh = meshio.Mesh(target.points, cells, {"node": target.nodes}, by_cell)
-    mesh.write(folder / "fibres.vtu")
+    mesh.write(folder / f"{fibres.prefix}fibres.vtu")
     return ()

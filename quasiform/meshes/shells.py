@@ -142,6 +142,26 @@ class Shells:
         both = self.corners[chosen, :corners], self.middles[chosen, : nodes - corners]
         return np.hstack(both) if len(both[0]) else np.empty((0, nodes), dtype=int)
 
+    def of_second_order(self) -> Shells:
+        """Elements with a node on every side: where there is none, in the middle of the corners."""
+        there, ends = self.corners >= 0, np.roll(self.corners, -1, axis=1)
+        last = self.count - 1
+        ends[np.arange(len(last)), last] = self.corners[:, 0]
+        sides = np.sort(np.stack([self.corners, ends], axis=2)[there], axis=1)
+        sides, at = np.unique(sides, axis=0, return_inverse=True)
+        middles = np.full(self.corners.shape, -1)
+        width = min(middles.shape[1], self.middles.shape[1])
+        middles[:, :width] = self.middles[:, :width]
+        node, given = np.full(len(sides), -1), middles[there]
+        node[at[given >= 0]] = given[given >= 0]
+        new = np.flatnonzero(node < 0)
+        node[new] = len(self.points) + np.arange(len(new))
+        middles[:] = -1
+        middles[there] = node[at]
+        points = np.vstack([self.points, self.points[sides[new]].mean(1)])
+        labels = np.append(self.nodes, self.nodes.max() + 1 + np.arange(len(new)))
+        return replace(self, points=points, nodes=labels, middles=middles)
+
     def with_used_nodes(self) -> Shells:
         """Without nodes that no element has, which are counted."""
         used = np.unique(np.append(self.corners, self.middles))

@@ -134,9 +134,11 @@ def added(folder: Path, *, instead: Sequence[str] = ()) -> Iterator[Path]:
 
 
 def _existing(folder: Path, names: Sequence[str]) -> list[Path]:
-    named = [folder / name for name in names if (folder / name).exists()]
-    more = (INCREMENTS, *OF_PLIES) if names is FILES else ()
-    return named + [path for pattern in more for path in sorted(folder.glob(pattern))]
+    """Files in a folder with one of the names, which may be patterns (`*`)."""
+    more = (*names, INCREMENTS, *OF_PLIES) if names is FILES else names
+    named = [folder / name for name in more if "*" not in name and (folder / name).exists()]
+    patterns = [pattern for pattern in more if "*" in pattern]
+    return named + [path for pattern in patterns for path in sorted(folder.glob(pattern))]
 
 
 @contextmanager

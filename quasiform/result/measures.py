@@ -113,9 +113,6 @@ def formed(
         **slipping,
         "doubt": sum(2**bit * doubts[name].astype(float) for bit, name in enumerate(DOUBTS)),
     }
-    for contact in model.ply_contacts:
-        slid = np.nan_to_num(contact.slid(model.x0, x))[node]
-        at_nodes[f"slip_on_{contact.other.name.replace(' ', '_')}"] = slid
     return replace(bare, point_fields=at_nodes | at_slip, cell_fields=fields)
 
 

@@ -15,7 +15,7 @@ from ..net.blank import Blank
 from ..net.edges import disc
 from ..net.transfer import interpolated
 from . import measures
-from .plies import in_one
+from .plies import between_plies, in_one
 from .sheet import FormedSheet
 
 FloatArray = np.ndarray
@@ -174,7 +174,14 @@ class Outcome:
 
     def stack_at(self, state: int = -1) -> FormedSheet:
         """All plies of a state in one formed sheet with the field `ply`; the sheet if it is one."""
-        return in_one([ply.sheet_at(state) for ply in self.plies])
+        plies = [ply.sheet_at(state) for ply in self.plies]
+        if len(plies) > 1:
+            between = between_plies(self.model, self.states[state].x)
+            plies = [
+                replace(ply, point_fields={**ply.point_fields, **more})
+                for ply, more in zip(plies, between, strict=True)
+            ]
+        return in_one(plies)
 
     @property
     def flange_lift(self) -> float:

@@ -1,14 +1,25 @@
-"""The plies of a stack in one formed sheet with the cell field `ply`, as files hold them."""
+"""The plies of a stack: all in one sheet with the cell field `ply`, and what is between them.
+
+The thickness of the stack at a node is the sum of t0/J (constant volume) over the plies that lie on
+each other there: those parted by less than a tenth of their thickness.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from ..checks import InputError
+from ..energy.plies import PlyContact, pair_name
+from ..model import Model
+from ..unknowns import Sheet
 from .sheet import FormedSheet
+
+FloatArray = np.ndarray
+PARTED = 0.1  # of the thickness: plies farther apart do not lie on each other
 
 
 def in_one(plies: Sequence[FormedSheet]) -> FormedSheet:
@@ -36,14 +47,16 @@ def in_one(plies: Sequence[FormedSheet]) -> FormedSheet:
 
 
 def one_of(sheet: FormedSheet, ply: int) -> FormedSheet:
-    """One ply of several; InputError if there is none of that number.
+    """One ply of several, all of them for 0; InputError if there is none of that number.
 
     A sheet without the field `ply` is the first and only one.
     """
+    if not ply:
+        return sheet
     numbers = np.ravel(sheet.cell_fields.get("ply", np.ones(len(sheet.triangles))))
     own = numbers == ply
     if not own.any():
-        raise InputError(f"no ply {ply}: there are {int(numbers.max(initial=1))}")
+        raise InputError(f"no ply {ply} of {int(numbers.max(initial=1))}")
     if own.all():
         return sheet
     used, triangles = np.unique(sheet.triangles[own], return_inverse=True)
@@ -55,3 +68,69 @@ def one_of(sheet: FormedSheet, ply: int) -> FormedSheet:
         point_fields={name: values[used] for name, values in sheet.point_fields.items()},
         cell_fields={name: values[own] for name, values in sheet.cell_fields.items()},
     )
+
+
+def apart(sheet: FormedSheet) -> list[tuple[np.ndarray, FormedSheet]]:
+    """Each ply of a sheet of all, after the numbers of its nodes there."""
+    number = np.ravel(sheet.cell_fields.get("ply", np.ones(len(sheet.triangles))))
+    if (number == number[0]).all():
+        return [(np.arange(len(sheet.places)), sheet)]
+    plies = np.unique(number).astype(int)
+    return [(np.unique(sheet.triangles[number == k]), one_of(sheet, k)) for k in plies]
+
+
+def summary_of_ply(summary: dict[str, Any], ply: int) -> dict[str, Any]:
+    """Summary of a run whose numbers of a sheet are those of one ply; as it is for 1 and 0 (all).
+
+    InputError if there is no ply of that number.
+    """
+    plies = summary.get("plies") or [{}]
+    if ply > len(plies):
+        raise InputError(f"no ply {ply} of {len(plies)}")
+    if ply < 2:
+        return summary
+    errors, start = summary.get("estimated_errors") or {}, f"ply_{ply}_"
+    own = {name.removeprefix(start): e for name, e in errors.items() if name.startswith(start)}
+    own |= {name: e for name, e in errors.items() if name.startswith(("force", "load", "slip"))}
+    error = {"shear_angle_deg": own.get("shear_angle_deg"), "path_deg": None}
+    more = {"estimated_errors": own, "error_estimate": summary["error_estimate"] | error}
+    return summary | {k: v for k, v in plies[ply - 1].items() if k != "fabric"} | more
+
+
+def between_plies(model: Model, x: FloatArray) -> list[dict[str, FloatArray]]:
+    """Fields by node of each whole ply at x (n_dofs,), mm: `slip_1_2`, ... and `stack_thickness`.
+
+    A slip is that since the start; zero where the two plies do not lie over each other.
+    """
+    own = {sheet.name: _thickness(sheet, x) for sheet in model.sheets}
+    above, below = (_beyond(model, x, own, side) for side in (-1.0, 1.0))
+    found = []
+    for sheet in model.sheets:
+        fields = {"stack_thickness": above[sheet.name] + own[sheet.name] + below[sheet.name]}
+        for pair in model.ply_pairs:
+            slid = [np.nan_to_num(c.slid(model.x0, x)) for c in pair if c.sheet is sheet]
+            fields[f"slip_{pair_name(pair)}"] = slid[0] if slid else 0.0 * own[sheet.name]
+        found.append({name: values[sheet.whole[1]] for name, values in fields.items()})
+    return found
+
+
+def _thickness(sheet: Sheet, x: FloatArray) -> FloatArray:
+    """(n_nodes,) thickness of a ply at constant volume, mm."""
+    bare = FormedSheet(sheet.positions(x), sheet.blank.triangles, sheet.blank.nodes)
+    return bare.at_nodes(sheet.fabric.thickness / bare.area_ratio)
+
+
+def _beyond(
+    model: Model, x: FloatArray, own: dict[str, FloatArray], side: float
+) -> dict[str, FloatArray]:
+    """(n_nodes,) thickness of what lies under the nodes of each ply (side 1), or on them (-1)."""
+    found = {name: np.zeros_like(t) for name, t in own.items()}
+    for sheet in model.sheets[:: int(-side)]:  # from the far end on
+        contacts: list[PlyContact] = [c for c in model.ply_contacts if c.sheet is sheet]
+        for contact in (c for c in contacts if c.side == side):
+            pairs, other = contact.pairs(x), contact.other
+            plies = (own[other.name] + found[other.name])[other.blank.triangles[pairs.triangles]]
+            lies = contact.penetration(x, pairs) > -PARTED * contact.reach
+            there = np.where(lies, (pairs.weights * plies).sum(1), 0.0)
+            found[sheet.name] = np.maximum(found[sheet.name], there)
+    return found

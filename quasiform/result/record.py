@@ -20,7 +20,7 @@ import numpy as np
 
 from ..checks import FORMAT, InputError, force_column, naming
 from .files import SCENE
-from .plies import one_of
+from .plies import apart, in_one, one_of, summary_of_ply
 from .sheet import FormedSheet, read_sheets
 
 if TYPE_CHECKING:
@@ -67,6 +67,8 @@ class Record:
         Nodes of the last sheet that are held in all directions.
     stacks : Sheets or None
         All plies of each travel in one sheet, where there are several: what is written.
+    ply : int
+        Of a stack: the number of the ply of the sheets and of the summary; 0 where all are shown.
     """
 
     summary: dict[str, Any]
@@ -76,12 +78,14 @@ class Record:
     model: Model | None = field(default=None, repr=False)
     gripped: np.ndarray | None = field(default=None, repr=False)
     stacks: Sheets | None = field(default=None, repr=False)
+    ply: int = 1
 
     @classmethod
     def read(cls, folder: str | Path, ply: int = 1) -> Record:
         """Read the folder of a run; a mesh is read when it is asked for.
 
-        Of a stack the sheets are those of one ply. InputError names the file and its defect.
+        Of a stack the sheets are those of one ply, or of all (0). InputError names the file and its
+        defect.
         """
         folder = Path(folder)
         if not folder.is_dir():
@@ -90,7 +94,8 @@ class Record:
         files = sheet_files(folder)
         travels = [summary["reached_mm"] if s is None else s for s, _ in files]
         sheets = Sheets(travels, lambda k: _own_sheet(files[k][1], travels[k], ply))
-        return cls(summary, _read_history(folder / "history.csv"), sheets, folder)
+        history = _read_history(folder / "history.csv")
+        return cls(summary_of_ply(summary, ply), history, sheets, folder, ply=ply)
 
     @classmethod
     def of(cls, source: Any) -> Record:
@@ -221,12 +226,25 @@ class Record:
         return "max_penetration_mm" in self.summary
 
     @property
+    def layer(self) -> dict[str, Any]:
+        """What `parameters.plies` has of its ply, the first where all are shown; empty without."""
+        layers, number = self.parameters.get("plies") or (), max(self.ply, 1)
+        return layers[number - 1] if len(layers) >= number else {}
+
+    @property
+    def ply_name(self) -> str:
+        """Number, count and orientation of its ply; empty where there is one, or all are shown."""
+        count = len(self.summary.get("plies", ()))
+        turn = f" at {self.layer['orientation']:g}°" if "orientation" in self.layer else ""
+        return f"ply {self.ply} of {count}{turn}" if count and self.ply else ""
+
+    @property
     def fabric(self) -> dict[str, Any]:
         """Parameters of the fabric as in `summary.json`: name, thickness (mm), shear, ..."""
         if self.model is not None:
-            return dict(vars(self.model.sheet.fabric))
-        given = self.parameters.get("fabric")
-        return given if isinstance(given, dict) else {}
+            return dict(vars(self.model.sheets[max(self.ply, 1) - 1].fabric))
+        both = self.layer.get("fabric"), self.parameters.get("fabric")
+        return next((given for given in both if isinstance(given, dict)), {})
 
     @property
     def fabric_name(self) -> str:
@@ -260,7 +278,14 @@ class Record:
             return Record.read(self.folder, ply)
         stacks = self.stacks or self.sheets
         sheets = Sheets(stacks.travels, lambda k: one_of(stacks[k], ply))
-        return replace(self, sheets=sheets, gripped=None)
+        summary = summary_of_ply(self.summary, ply)
+        return replace(self, summary=summary, sheets=sheets, gripped=None, ply=ply)
+
+    @property
+    def plies(self) -> list[Record]:
+        """The run with the sheets of each ply, from the punch down; itself without a stack."""
+        numbers = range(1, 1 + len(self.summary.get("plies", ())))
+        return [self if k == self.ply else self.of_ply(k) for k in numbers] or [self]
 
     def upto(self, state: int) -> Record:
         """Return the run up to one of its sheets."""
@@ -377,7 +402,7 @@ def _own_sheet(path: Path, travel: float, ply: int) -> FormedSheet:
             for name in names:
                 if name not in getattr(sheet, where):
                     raise InputError(f"no field '{name}': not a result of this program")
-        return replace(sheet.with_flat(), travel=travel)
+        return replace(in_one([own.with_flat() for _, own in apart(sheet)]), travel=travel)
 
 
 def _write_table(path: Path, heading: Iterable[str], rows: FloatArray, form: str) -> None:

@@ -15,6 +15,7 @@ from .certificate import Certificate, certify, one_of_many, unit
 from .estimate import judged
 from .files import SCENE, replaced
 from .outcome import Outcome, State
+from .plies import one_of
 from .record import Record, Sheets
 from .sheet import FormedSheet
 from .summary import summarise
@@ -211,7 +212,8 @@ class Result(Outcome):
     @property
     def sheets(self) -> dict[str, FormedSheet]:
         """Formed sheets at the end by name: `sheet`, or `ply 1`, `ply 2`, ..."""
-        return {ply.model.sheet.name: ply.sheet for ply in self.plies}
+        stack = self.stack_at()
+        return {ply.name: one_of(stack, k) for k, ply in enumerate(self.model.sheets, 1)}
 
     @property
     def gripped(self) -> np.ndarray:

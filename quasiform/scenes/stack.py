@@ -10,7 +10,7 @@ C the fibre modulus of warp or weft: 2 B + C t³/2 for two plies.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -188,7 +188,7 @@ def written(layers: Sequence[Layer]) -> list[dict[str, Any]]:
         {
             "plies": list(layer.plies),
             "orientation": layer.orientation,
-            "fabric": layer.fabric.name,
+            "fabric": asdict(layer.fabric),
             "thickness": layer.fabric.thickness,
         }
         for layer in layers
