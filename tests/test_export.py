@@ -528,7 +528,7 @@ def test_each_ply_of_a_stack_has_files_of_its_own(stack, tmp_path, to):
         frame = distribution(blocks(tmp_path / "out" / "ply_2_part.inp"), "WARP_POINTS")
         np.testing.assert_allclose(frame[1][:3], handed.plies[1].warp[0], atol=1e-8)
     told = (tmp_path / "out" / "handover.txt").read_text(encoding="utf-8")
-    assert "each ply of the stack" in told
+    assert "each ply of the stack is handed over" in told
     assert "one ply is handed over" not in told
     with pytest.raises(InputError, match="holds a result already"):
         export(stack, to, tmp_path / "out")

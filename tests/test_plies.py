@@ -290,7 +290,8 @@ def test_a_coefficient_between_plies_that_is_not_given_is_assumed():
         ([0, {"orientation": 45, "joined": True}], "another orientation"),
         ([{"joined": True}, 0], "there is no ply above it"),
         ([0, {"angle": 3}], "angle"),
-        ([0, {"law": "nothing"}], "unknown law"),
+        ([0, {"law": "nothing"}], r"\[plies 2\] unknown law"),
+        ([0, {"fabric": {"thickness": -1.0}}], r"\[plies 2.fabric\] .*thickness"),
         ([0] * 13, "at most 12 plies"),
     ],
 )
@@ -354,6 +355,10 @@ def test_folder_of_a_stack(formed, tmp_path):
     assert of_second.summary["shear_angle_deg"] == record.summary["plies"][1]["shear_angle_deg"]
     assert (record.ply_name, of_second.ply_name) == ("ply 1 of 2 at 0°", "ply 2 of 2 at 45°")
     assert of_second.fabric["thickness"] == T0
+    for k, fibres in enumerate(qf.export(formed, "csv", tmp_path / "csv").plies, 1):
+        again = qf.export(tmp_path / "out", "csv", tmp_path / f"csv{k}").plies[k - 1]
+        assert_allclose(again.warp, fibres.warp, atol=1e-9)
+        assert (again.ply, again.fabric["thickness"]) == (k, fibres.fabric["thickness"])
     everything = Record.read(tmp_path / "out", ply=0).sheet
     assert_allclose(everything.points, whole.points, atol=1e-9)
     assert_allclose(everything.flat, whole.flat, atol=1e-9)

@@ -96,14 +96,17 @@ def save_pictures(run: Record, folder: str | Path) -> None:
         warnings.filterwarnings("ignore", message="Glyph")  # a name with letters the font lacks
         for name, picture in draw.items():
             picture(run).savefig(Path(folder) / f"{name}.png", dpi=DPI)
-        for ply in range(2, 1 + len(run.summary.get("plies", ()))):
-            name = f"shear_angle_ply_{ply}.png"
-            sheet_figure(run.of_ply(ply)).savefig(Path(folder) / name, dpi=DPI)
+        for ply in run.plies[1:]:
+            name = f"shear_angle_ply_{ply.ply}.png"
+            sheet_figure(ply).savefig(Path(folder) / name, dpi=DPI)
 
 
 def sheet_figure(run: Record) -> Figure:
-    """Sheet in space and seen along z, or a specimen in its plane; and the force."""
-    colours = colour_scale([run])
+    """Sheet in space and seen along z, or a specimen in its plane; and the force.
+
+    The plies of a stack have one scale of colours.
+    """
+    colours = colour_scale(run.plies)
     if run.in_plane:
         figure = new_figure(4.4)
         panels = figure.subplot_mosaic([["above"], ["force"]], height_ratios=[2.4, 1])
@@ -528,8 +531,10 @@ def draw_draw_in_arrows(axes: Axes, run: Record) -> None:
     """Number and arrow of the draw-in at the middle of each edge, and where it is largest."""
     points, edges = run.sheet.points, _edges(run, run.sheet)
     arrows = [(edge.flat, edge.inward, edge.draw_in(points), "") for edge in edges]
-    arrows += largest_draw_in(run.sheet) if arrows else []
-    away = 0.055 * extent(run.sheet)
+    away, known = 0.055 * extent(run.sheet), [flat for flat, *_ in arrows]
+    for most in largest_draw_in(run.sheet) if arrows else []:
+        if np.linalg.norm(most[0] - known, axis=1).min() > 3 * away:  # else their words overlap
+            arrows.append(most)
     for flat, inward, draw_in, word in arrows:
         tilt = np.degrees(np.arctan2(inward[0], -inward[1]))
         axes.annotate("", flat + draw_in * inward, flat, arrowprops=ARROW)

@@ -127,7 +127,7 @@ def carry(record: Record, target: Shells | None = None, within: float | None = N
     notices = [*limits_of(record), NOTICES["of_a_stack" if several else "one_ply"]]
     notices += NOTICES["fibres"]
     name = ", ".join(filter(None, [record.case, record.ply_name]))
-    stack = {"ply": record.ply * several, "joined": len(record.layer.get("plies", "1"))}
+    stack = {"ply": record.ply * several, "joined": len(record.layer.get("plies", [1]))}
     values = [sheet.cell_fields["warp"], sheet.cell_fields["weft"], sheet.area_ratio]
     if target is None:
         target = Shells.counted(sheet.points, sheet.triangles)
@@ -142,7 +142,8 @@ def carry(record: Record, target: Shells | None = None, within: float | None = N
         known &= ~beyond_edge(sheet, target.centroids, ASIDE * spacing(sheet))
     if not known.any():
         raise InputError(
-            f"no element of the mesh is within {reach:.3g} mm of the formed sheet, the nearest is "
+            f"{record.ply_name}{': ' * several}no element of the mesh is within {reach:.3g} mm of "
+            f"the formed sheet{' and not beyond its edge' * several}, the nearest is "
             f"{distance.min():.3g} mm away: are its place and its unit (scale) those of the sheet?"
         )
     found[~known] = np.nan

@@ -184,7 +184,7 @@ def _on_the_middle_one(plies: Sequence[Record], within: float | None) -> list[Fi
     middle = (len(plies) - 1) // 2
     own = carry(plies[middle], None, within)
     if len(plies) > 1:
-        own = replace(own, notices=(*own.notices, NOTICES["middle"]))
+        own = replace(own, notices=(*own.notices, NOTICES["layers"]["middle"]))
     return [own if ply is plies[middle] else carry(ply, own.target, within) for ply in plies]
 
 

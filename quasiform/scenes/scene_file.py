@@ -202,11 +202,11 @@ class _Ply(Table):
     friction: number("Coulomb coefficient with the ply above it", "1", zero=True) = OPEN
 
 
-def _ply(table: _Ply, law: str | Fabric, folder: Path) -> Ply:
+def _ply(number: int, table: _Ply, law: str | Fabric, folder: Path) -> Ply:
     """One layer; `law` is that of the scene."""
     own = table.law and (str(folder / table.law) if table.law.endswith(".toml") else table.law)
     if table.fabric is not None:
-        own = _fabric(table.fabric, own or law)
+        own = _fabric(table.fabric, own or law, f"[plies {number}.fabric]")
     keys = ("orientation", "blank", "offset", "joined", "friction")
     return Ply(law=own, **{key: getattr(table, key) for key in keys})
 
@@ -429,7 +429,7 @@ def _scene(table: dict[str, Any], folder: Path, stem: str) -> SceneFile:
         law=law,
         supports=tuple(scene.supports),
         grippers=tuple(scene.grippers),
-        plies=tuple(_ply(ply, law, folder) for ply in scene.plies),
+        plies=tuple(_ply(k, ply, law, folder) for k, ply in enumerate(scene.plies, 1)),
         areas={name: (area.centre, area.radius) for name, area in scene.areas.items()},
         increment=scene.increments.largest,
         rows=scene.increments.rows,
@@ -446,13 +446,13 @@ def _scene(table: dict[str, Any], folder: Path, stem: str) -> SceneFile:
     return file
 
 
-def _fabric(table: dict[str, Any], law: str | Fabric) -> Fabric:
+def _fabric(table: dict[str, Any], law: str | Fabric, where: str = "[fabric]") -> Fabric:
     """Return the fabric of a scene: the keys of its table over those of a law, if there is one."""
     law = law or ("" if "shear" in table else "locking")
     try:
         return Fabric.read(merged(fabric_of(law).written(), table) if law else table)
     except InputError as error:
-        raise InputError(f"[fabric] {error}") from error
+        raise InputError(f"{where} {error}") from error
 
 
 def _without_none(table: dict[str, Any]) -> dict[str, Any]:

@@ -53,7 +53,11 @@ def layers_of(
         own = ply.blank.polygon if ply.blank else outline
         own = shapely.affinity.translate(own, *ply.offset)
         mu = FRICTION if ply.friction is None else ply.friction
-        angle, law = orientation + ply.orientation, fabric_of(ply.law or fabric)
+        angle = orientation + ply.orientation
+        try:
+            law = fabric_of(ply.law or fabric)
+        except InputError as error:
+            raise InputError(f"[plies {i}] {error}") from error
         if law.slip is not None:
             raise InputError(f"[plies {i}] slip of the rovings is not possible with several plies")
         layer = Layer("", own, angle, law, mu, (i,))
