@@ -12,8 +12,11 @@ from quasiform.checks import InputError
 from quasiform.energy.bending import Bending
 from quasiform.energy.membrane import membrane_of
 from quasiform.fabric import fabric_of
+from quasiform.handover.pattern import FlatPattern, cut_lines
 from quasiform.net import outline as outlines
 from quasiform.net.blank import GIVE, cut
+from quasiform.net.transfer import beside_slits
+from quasiform.result.sheet import FormedSheet, read_sheets
 from quasiform.scenes import scene_file
 from quasiform.scenes.scene_parts import Region, Slit
 from quasiform.unknowns import Unknowns
@@ -123,6 +126,26 @@ def test_mirror_planes_of_slits():
     for lines in (across[:1], [[(0, -5), (0, 5)]]):
         with pytest.raises(InputError, match="the slits are not symmetric to x = 0: leave 'x'"):
             slit_blank(lines, mirror=("x",))
+
+
+@pytest.mark.parametrize("lines", [[[(-30, 0), (10, 0)]], [[(-10, 1.3), (12, 7.2)]]])
+@pytest.mark.parametrize("size", [2.5, 3.4, 8.0])
+def test_values_on_another_mesh_stay_on_their_side(lines, size):
+    line = np.array(lines[0], dtype=float)
+    blanks = [cut(BOX, h, through=((0.0, 0.0),), slits=[line]) for h in (SIZE, size)]
+    across = (line[1] - line[0])[::-1] * [-1.0, 1.0]
+    side = [np.zeros(len(blank.nodes)) for blank in blanks]
+    for blank, upper in zip(blanks, side, strict=True):
+        upper[blank.triangles[(blank.centroids - line[0]) @ across > 0]] = 1.0
+    linear = [blank.nodes @ [0.3, -0.2] for blank in blanks]
+    near, found = beside_slits(blanks[0], linear[0] + 10.0 * side[0], blanks[1])
+    on_slit = np.isin(near, blanks[1].doubled)
+    assert on_slit.sum() == len(blanks[1].doubled) > 1
+    far = np.linalg.norm(blanks[1].nodes[near, None] - line, axis=2).min(1) > SIZE + size
+    expected = linear[1][near] + 10.0 * side[1][near]
+    assert_allclose(found[on_slit & far], expected[on_slit & far], atol=1e-9)
+    whole = cut(BOX, SIZE)
+    assert not len(beside_slits(whole, whole.nodes, blanks[1])[0])
 
 
 # In a scene
@@ -296,3 +319,41 @@ slits = { file = "part.dxf", layer = "SLITS", centre = [0.0, -10.0] }
     assert [path.name for path in scene_file.load(str(tmp_path / "stack.toml")).files()].count(
         "part.dxf"
     ) == 6
+
+
+# In what is written
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory):
+    """A sheet in tension with slits, not solved but written like a run."""
+    lines = [np.array([(0.0, 0.0), (30.0, 0.0)]), np.array([(-20.0, 5.0), (-10.0, 5.0)])]
+    blank = cut(BOX, SIZE, through=((0.0, 0.0),), slits=lines)
+    flat, triangles = blank.nodes, blank.triangles
+    upper = np.zeros(len(flat))
+    upper[triangles[blank.centroids[:, 1] > 0]] = 1.0
+    points = np.column_stack([flat, 3.0 * upper * np.maximum(flat[:, 0], 0.0) / 30.0])
+    fibres = [np.tile(axis, (len(triangles), 1)) for axis in np.eye(3)[:2]]
+    fields = {"warp": fibres[0], "weft": fibres[1]}
+    return FormedSheet(points, triangles, flat, cell_fields=fields, name="slit")
+
+
+def test_a_flat_pattern_shows_slits(result, tmp_path):
+    edges, slits = cut_lines(result)
+    assert [shapely.Polygon(edge).area for edge in edges] == [2400.0]
+    ends = sorted(sorted(map(tuple, line[[0, -1]].tolist())) for line in slits)
+    assert ends == [[(-20.0, 5.0), (-10.0, 5.0)], [(0.0, 0.0), (30.0, 0.0)]]
+    pattern = FlatPattern("part", edges, edges, np.eye(2), slits)
+    assert pattern.area == 2400.0
+    pattern.save(tmp_path / "out")
+    rows = (tmp_path / "out" / "pattern.csv").read_text().split()
+    assert "SLITS,1,30,0" in rows or "SLITS,0,30,0" in rows
+    assert 'id="SLITS"' in (tmp_path / "out" / "pattern.svg").read_text()
+
+
+def test_a_written_sheet_keeps_its_slits(result, tmp_path):
+    result.write(tmp_path / "slit.vtu")
+    again = read_sheets(tmp_path / "slit.vtu")[0].with_flat()
+    assert len(again.loops) == 2
+    assert [len(loop) for loop in again.loops] == [len(loop) for loop in result.loops]
+    assert len(cut_lines(again)[1]) == 2

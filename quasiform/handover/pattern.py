@@ -21,7 +21,7 @@ from ..comparison.mapping import closest, on_surface, spacing
 from ..result.files import replaced
 from ..result.sheet import FormedSheet
 from ..tables import read_table
-from ..tools.mending import normals_of
+from ..tools.mending import normals_of, together
 from .drawing import Drawing, write_csv, write_dxf, write_svg
 from .fibres import limits_of, read_formed
 from .keywords import NOTICES, write_notices
@@ -37,6 +37,7 @@ Line = str | Path | FloatArray | Sequence[Sequence[float]]
 STEP = 0.25  # of the spacing: distance of the points that are mapped
 ASIDE = 0.01  # of the spacing: how far beside the rim of the sheet a line has left it
 HALVINGS = 30  # of an edge, to find where a line crosses it
+TOUCH = 1e-7  # of the sheet: places that near are one
 JUMP = 3.0  # flat step over formed step: the line has passed from one fold to another
 FILES = ("pattern.dxf", "pattern.svg", "pattern.csv", "pattern.txt")
 NOT_MODELLED = NOTICES["pattern"]
@@ -55,6 +56,8 @@ class FlatPattern(Drawing):
         first point.
     along : (2, 2) array
         Flat unit vectors of warp (0°) and weft (90°).
+    slits : list of (k, 2) arrays
+        Lines along which the blank is cut before forming, mm.
     notices : tuple of str
         What the pattern does not hold: that of this one, then that of them all (`NOT_MODELLED`).
     """
@@ -117,7 +120,7 @@ def flat_pattern(
     record = read_formed(source)
     sheet, notices = record.sheet, [*limits_of(record)]
     reach = record.fabric["thickness"] if within is None else check_number("within", within)
-    edges = [sheet.flat[loop] for loop in sheet.loops]
+    edges, slits = cut_lines(sheet)
     if isinstance(trim, str) and trim == "edge":
         lines = edges
     elif isinstance(trim, str) and trim == "die":
@@ -133,12 +136,29 @@ def flat_pattern(
             if curve.shape[1] == 2:
                 lines += _seen(sheet, plan, notices)
             else:
-                lines.append(_mapped(sheet, curve, reach, edges, notices))
+                lines.append(_mapped(sheet, curve, reach, [*edges, *slits], notices))
     for line in lines:
         if _closed(line) and not shapely.LinearRing(line).is_simple:
             notices.append("the flat line crosses itself")
     notices += _without_dxf()
-    return FlatPattern(record.case, lines, edges, sheet.along, (*notices, *NOT_MODELLED))
+    notices = (*notices, *NOT_MODELLED)
+    return FlatPattern(record.case, lines, edges, sheet.along, slits, notices)
+
+
+def cut_lines(sheet: FormedSheet) -> tuple[list[FloatArray], list[FloatArray]]:
+    """Flat outlines, the outer one first, and slits: where the edge of the sheet runs both ways."""
+    import shapely
+
+    flat, same, _ = together(sheet.flat, TOUCH * float(np.ptp(sheet.flat)))
+    steps = [np.column_stack([loop[:-1], loop[1:]]) for loop in map(same.take, sheet.loops)]
+    ends, count = np.unique(np.sort(np.vstack(steps), axis=1), axis=0, return_counts=True)
+    if count.max() == 1:
+        return [sheet.flat[loop] for loop in sheet.loops], []
+    found = []
+    for part in (ends[count == 1], ends[count > 1]):
+        merged = shapely.line_merge(shapely.multilinestrings(shapely.linestrings(flat[part])))
+        found.append([shapely.get_coordinates(line) for line in shapely.get_parts(merged)])
+    return sorted(found[0], key=lambda line: -shapely.Polygon(line).area), found[1]
 
 
 def _without_dxf() -> list[str]:

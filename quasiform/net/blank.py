@@ -102,6 +102,14 @@ class Blank:
         return np.bincount(self.triangles.ravel(), share, minlength=len(self.nodes))
 
     @cached_property
+    def doubled(self) -> IntArray:
+        """Nodes on slits: others lie at the same places."""
+        from scipy.spatial import cKDTree
+
+        near = 1e-6 * self.size
+        return np.unique(cKDTree(self.nodes).query_pairs(near, output_type="ndarray"))
+
+    @cached_property
     def centroids(self) -> FloatArray:
         """(n_triangles, 2) flat positions of the triangles' centroids, mm."""
         return self.nodes[self.triangles].mean(1)
