@@ -636,7 +636,7 @@ REFUSED = {
     "hole from a file": (
         "",
         HOLE.replace("disc", "file"),
-        ["[blank.holes 1] shape = 'file'", "rectangle, disc, polygon"],
+        ["[blank.holes 1] unknown key 'radius'", "file"],
     ),
     "hole, second": ("", HOLE + HOLE.replace("20.0", "-1"), ["[blank.holes 2] radius must be"]),
     "holes no tables": (

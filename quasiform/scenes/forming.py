@@ -181,12 +181,12 @@ def formed_between_tools(
     mirrored = like and like.tools[2]
     mirrored = mirrored or _mirror_planes(file, tools, layers, travel, symmetry)
     mirror, why = mirrored
-    description += stack.described(layers) + why
+    description += stack.described(layers) + stack.cuts(layers) + why
     frame, unknowns = layers[0].orientation if mirror else 0.0, Unknowns()
     sheets = []
     for layer in layers:
         turn = layer.orientation - frame
-        blank = own or _mesh(file.mesh, layer.outline, size, frame, turn, mirror)
+        blank = own or _mesh(file.mesh, layer, size, frame, turn, mirror)
         sheets.append(unknowns.sheet(blank, layer.fabric, 3, frame, layer.name))
     tools_in_frame = [_in_frame(tool, frame, blank) for tool in tools]
     for tool in tools_in_frame:
@@ -258,7 +258,7 @@ def _mirror_planes(
     if len(turns) > 1:
         return (), [("the whole blank", "the plies have no mirror plane in common")]
     given = layers[0].orientation, travel, symmetry, layers[0].fabric
-    found = [mirror_planes(file, tools, layer.outline, *given) for layer in layers]
+    found = [mirror_planes(file, tools, layer.outline, layer.slits, *given) for layer in layers]
     planes, why = min(found, key=lambda entry: len(entry[0]))
     if any(set(planes) - set(other) for other, _ in found):
         return (), [("the whole blank", "the plies have no mirror plane in common")]
@@ -300,12 +300,13 @@ def _in_frame(tool: Tool, frame: float, blank: Blank) -> Tool:
 
 
 def _mesh(
-    mesh: str | Path, outline: shapely.Polygon, size: float, turn: float, warp: float, mirror: tuple
+    mesh: str | Path, layer: Layer, size: float, turn: float, warp: float, mirror: tuple
 ) -> Blank:
-    outline = shapely.affinity.rotate(outline, -turn, origin=(0, 0))
+    outline = shapely.affinity.rotate(layer.outline, -turn, origin=(0, 0))
     if mesh == "free":
         return free_mesh.triangulate(outline, size, warp)
-    return cut(outline, size, warp, through=((0.0, 0.0),), mirror=mirror)
+    slits = [line @ rotation(turn) for line in layer.slits]
+    return cut(outline, size, warp, through=((0.0, 0.0),), mirror=mirror, slits=slits)
 
 
 def _assemble(model: Model, file: SceneFile, tools: list[Tool], layers: Sequence[Layer]) -> None:

@@ -10,6 +10,7 @@ import shapely
 from ..checks import InputError
 from ..fabric import Fabric
 from ..net.blank import rotation
+from ..net.slits import TINY, mirror_slits
 from ..tools.shapes import Tool
 from ..tools.tool_file import ToolFile, why_tight
 from .scene_file import SceneFile
@@ -55,6 +56,7 @@ def mirror_planes(
     file: SceneFile,
     tools: Sequence[Tool],
     outline: shapely.Polygon,
+    slits: Sequence[np.ndarray],
     orientation: float,
     travel: float,
     symmetry: str,
@@ -73,6 +75,7 @@ def mirror_planes(
             return (), [("the whole blank", why)]
     along = rotation(orientation)
     outline = shapely.affinity.rotate(outline, -orientation, origin=(0, 0))
+    slits = [line @ along for line in slits]
     bounds = np.array(outline.bounds).reshape(2, 2)
     rng = np.random.default_rng(0)
     flat = rng.uniform(*bounds, (20000, 2))
@@ -86,6 +89,9 @@ def mirror_planes(
         mirrored = shapely.affinity.scale(outline, *flip, origin=(0, 0))
         if outline.symmetric_difference(mirrored).area > 1e-6 * outline.area:
             broken.append(f"{ACROSS[name]} the outline differs")
+            continue
+        if not mirror_slits(slits, axis, TINY * np.ptp(bounds)):
+            broken.append(f"{ACROSS[name]} the slits differ, or one lies on it")
             continue
         sides = [np.column_stack([points @ along.T, z]) for points in (flat, flat * flip)]
         off = {tool.name: _off_mirror(tool, sides, travel, fabric.thickness) for tool in tools}

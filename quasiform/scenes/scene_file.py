@@ -20,6 +20,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import (
     AfterValidator,
+    BeforeValidator,
     Discriminator,
     Field,
     StrictBool,
@@ -47,13 +48,14 @@ from .scene_parts import (
     Ply,
     Region,
     SceneFile,
+    Slit,
     Support,
     Where,
 )
 
 __all__ = [
-    *("Form", "Gripper", "Ply", "Region", "SceneFile", "Support", "SurfaceFile", "ToolPart"),
-    "Where",
+    *("Form", "Gripper", "Ply", "Region", "SceneFile", "Slit", "Support", "SurfaceFile"),
+    *("ToolPart", "Where"),
 ]
 _PACKAGED = Path(__file__).parents[1] / "geometries"
 FOLDER = _PACKAGED if _PACKAGED.is_dir() else Path(__file__).parents[2] / "geometries"
@@ -124,12 +126,16 @@ def _union(
     base: type[Table], kinds: dict[str, tuple], most: float, made: Callable, *others: Any
 ) -> Any:
     """Type of a table with a shape: one model for each, and what is `made` of it."""
+    named = base is not _Cut  # else its keys tell
     models = list(others)
     for kind, (_, names) in kinds.items():
         keys = {key: KEYS.get(key) or (number(LENGTHS[key], "mm", most=most), ...) for key in names}
-        model = create_model(kind, __base__=base, shape=(Literal[kind], ...), **keys)
+        model = create_model(
+            kind, __base__=base, shape=(Literal[kind], ... if named else kind), **keys
+        )
         models.append(Annotated[model, Tag(kind)])
-    which = tool_shape if kinds is SHAPES else shape
+    which = shape if named else cut_shape
+    which = tool_shape if kinds is SHAPES else which
     return Annotated[reduce(or_, models), Discriminator(which), AfterValidator(made)]
 
 
@@ -140,6 +146,13 @@ def shape(table: Any) -> str | None:
     mesh = table.get("mesh")
     own = isinstance(mesh, str) and "." in mesh and "shape" not in table
     return "(own mesh)" if own else str(table.get("shape"))
+
+
+def cut_shape(table: Any) -> str | None:
+    """Which model a hole or a dart has: without a shape, that with its points or its file."""
+    if isinstance(table, Mapping) and "shape" not in table:
+        return "polygon" if "points" in table else "file" if "file" in table else str(None)
+    return shape(table)
 
 
 def tool_shape(table: Any) -> str | None:
@@ -166,30 +179,66 @@ class _Region(Table):
 
 def _region(table: Any) -> Region:
     values = tuple(getattr(table, key) for key in REGION[table.shape][1])
-    region = Region(table.shape, values, table.centre, tuple(getattr(table, "holes", ())))
-    _ = region.polygon  # refuses what encloses no area
+    cuts = {key: tuple(getattr(table, key, ())) for key in ("holes", "darts", "slits")}
+    region = Region(table.shape, values, table.centre, **cuts)
+    _ = region.loops if isinstance(table, _Cut) else region.lines  # refuses what is none
     return region
 
 
-HOLES = {kind: keys for kind, keys in REGION.items() if kind != "file"}
+class _Cut(_Region):
+    pass
 
 
-class _Blank(_Sheet, _Region):
+class _Slit(Table):
+    points: KEYS["points"][0] = OPEN
+    file: path("Drawing or table of the lines") = OPEN
+    scale: KEYS["scale"][0] = 1.0
+    layer: KEYS["layer"][0] = OPEN
+    centre: POINT = (0.0, 0.0)
+
+
+def _slit(table: _Slit) -> Slit:
+    if (table.points is None) == (table.file is None):
+        raise InputError("give points or a file")
+    if table.file is None and table.model_fields_set & {"scale", "layer"}:
+        raise InputError("scale and layer go with a file")
+    slit = Slit(table.points or (), table.file, table.scale, table.layer, table.centre)
+    _ = slit.lines  # refuses what is none
+    return slit
+
+
+def _several(made: Any) -> Any:
+    """Type of a list of tables; one alone may stand for it."""
+
+    def listed(value: Any) -> Any:
+        return [value] if isinstance(value, Mapping) else value
+
+    return Annotated[list[made], BeforeValidator(listed, json_schema_input_type=list[made] | made)]
+
+
+_CUT = _union(_Cut, REGION, LARGEST, _region)
+_SLIT = Annotated[_Slit, AfterValidator(_slit)]
+
+
+class _Outline(_Region):
+    holes: _several(_CUT) = []  # noqa: RUF012
+    darts: _several(_CUT) = []  # noqa: RUF012
+    slits: _several(_SLIT) = []  # noqa: RUF012
+
+
+class _Blank(_Sheet, _Outline):
     mesh: checked(_mesh, enum=["fibre", "free"], description="Along the fibres, or free") = "fibre"
-    holes: list[_union(_Region, HOLES, LARGEST, _region)] = []  # noqa: RUF012
 
 
 def _blank(table: _Blank | _OwnMesh) -> dict[str, Any]:
     """What it is in a `SceneFile`."""
     own = isinstance(table, _OwnMesh)
+    if not own and table.slits and table.mesh != "fibre":
+        raise InputError("slits need mesh = 'fibre'")
     if not own and table.mesh_scale is not None:
         raise InputError("mesh_scale goes with a mesh from a file")
     sheet = table.model_dump(include={"orientation", "size", "mesh"})
     return sheet | {"blank": None if own else _region(table), "mesh_scale": table.mesh_scale or 1.0}
-
-
-class _Outline(_Region):
-    holes: list[_union(_Region, HOLES, LARGEST, _region)] = []  # noqa: RUF012
 
 
 class _Ply(Table):
@@ -393,7 +442,6 @@ def check_increments(travel: float, **increments: float | None) -> None:
 
 NOT_POSSIBLE = {  # keys that people try: what is possible instead
     "layers": "layers are given as [[plies]], from the punch down",
-    "slits": "cuts that open are not modelled; holes and notches are",
     "pressure": "a pressure on the sheet is not modelled; a holder's force is",
     "diaphragm": "diaphragms are not modelled",
     "temperature": "the fabric is dry and cold: no matrix, no temperature",
@@ -551,8 +599,19 @@ def scene_toml(file: SceneFile) -> str:
 
 def _region_table(region: Region) -> dict[str, Any]:
     keys = dict(zip(REGION[region.shape][1], region.parameters, strict=True))
-    holes = {"holes": [_region_table(hole) for hole in region.holes]} if region.holes else {}
-    return {"shape": region.shape, **keys, "centre": region.centre, **holes}
+    cuts = {
+        "holes": [_region_table(hole) for hole in region.holes],
+        "darts": [_region_table(dart) for dart in region.darts],
+        "slits": [_slit_table(slit) for slit in region.slits],
+    }
+    cuts = {key: tables for key, tables in cuts.items() if tables}
+    return {"shape": region.shape, **keys, "centre": region.centre, **cuts}
+
+
+def _slit_table(slit: Slit) -> dict[str, Any]:
+    if slit.file is None:
+        return {"points": slit.points, "centre": slit.centre}
+    return {key: getattr(slit, key) for key in ("file", "scale", "layer", "centre")}
 
 
 def _ply_table(ply: Ply) -> dict[str, Any]:

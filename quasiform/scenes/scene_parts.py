@@ -11,8 +11,10 @@ from typing import Any
 import numpy as np
 import shapely
 
+from ..checks import InputError
 from ..fabric import Fabric
 from ..net import outline as outlines
+from ..net.slits import check_slits
 from ..tools.part import ToolPart
 
 Point = tuple[float, float]
@@ -27,13 +29,37 @@ MOTIONS = {"punch": "driven", "die": "fixed", "holder": "free"}
 
 
 @dataclass(frozen=True)
+class Slit:
+    """Open lines along which the flat sheet is cut: one through points, or those of a file."""
+
+    points: tuple[Point, ...] = ()  # mm
+    file: Path | None = None
+    scale: float = 1.0  # mm per unit of the file
+    layer: str | None = None  # of a drawing
+    centre: Point = (0.0, 0.0)  # by how much they are moved, mm
+
+    @cached_property
+    def lines(self) -> list[np.ndarray]:
+        """(k, 2) points of each, mm; InputError for what is no line."""
+        lines = [np.array(self.points, dtype=float).reshape(-1, 2)]
+        if self.file is not None:
+            lines = outlines.read_lines(self.file, self.scale, self.layer)
+        for line in lines:
+            if len(line) < 2 or not np.ptp(line, axis=0).any():
+                raise InputError("a slit needs two different points")
+        return [line + self.centre for line in lines]
+
+
+@dataclass(frozen=True)
 class Region:
-    """An area of the flat sheet with its holes."""
+    """An area of the flat sheet with what is cut out of it and into it."""
 
     shape: str  # a key of REGION
     parameters: tuple[Any, ...]  # in the order of REGION: numbers in mm, corners, a path
     centre: Point = (0.0, 0.0)  # by how much it is moved, mm
     holes: tuple[Region, ...] = ()
+    darts: tuple[Region, ...] = ()  # as holes; they may cross the edge
+    slits: tuple[Slit, ...] = ()
 
     @staticmethod
     def of(polygon: shapely.Polygon) -> Region:
@@ -54,7 +80,31 @@ class Region:
     def polygon(self) -> shapely.Polygon:
         """The area, mm; InputError if it has none, crosses itself, or a hole is not inside."""
         moved = shapely.affinity.translate(self.drawing.polygon, *self.centre)
-        return outlines.with_holes(moved, [hole.polygon for hole in self.holes])
+        for name, cuts in (("hole", self.holes), ("dart", self.darts)):
+            loops = [loop for cut in cuts for loop in cut.loops]
+            moved = outlines.with_holes(moved, loops, name)
+        return moved
+
+    @cached_property
+    def loops(self) -> list[shapely.Polygon]:
+        """As a hole: its area, or those of all closed lines of a file; mm."""
+        if self.shape != "file":
+            return [self.polygon]
+        loops = outlines.read_loops(*self.parameters)
+        return [shapely.affinity.translate(loop, *self.centre) for loop in loops]
+
+    @cached_property
+    def lines(self) -> list[np.ndarray]:
+        """(k, 2) points of its slits, mm; InputError if one is outside, or divides it."""
+        lines = [line for slit in self.slits for line in slit.lines]
+        check_slits(self.polygon, lines)
+        return lines
+
+    def files(self) -> list[Any]:
+        """Paths that it names, among its other parameters."""
+        cuts = [*self.holes, *self.darts]
+        inner = [part for cut in cuts for part in cut.parameters]
+        return [*self.parameters, *inner, *(slit.file for slit in self.slits)]
 
 
 @dataclass(frozen=True)
@@ -150,11 +200,16 @@ class SceneFile:
         """The flat blank with its holes, mm; empty where the mesh is the user's own."""
         return self.blank.polygon if self.blank else shapely.Polygon()
 
+    @property
+    def slits(self) -> list[np.ndarray]:
+        """Lines (k, 2) along which the flat blank is cut, mm."""
+        return self.blank.lines if self.blank else []
+
     def files(self) -> list[Path]:
         """All files that the scene names: meshes, outlines and surfaces of tools."""
         named: list[Any] = [self.mesh, *(tool.geometry for tool in self.tools)]
         for blank in (self.blank, *(ply.blank for ply in self.plies)):
-            named += blank.parameters if blank else ()
+            named += blank.files() if blank else ()
         named = [getattr(part, "path", part) for part in named]
         return [part for part in named if isinstance(part, Path)]
 
