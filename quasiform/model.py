@@ -13,6 +13,7 @@ from .energy.contact import Contact, surrounds
 from .energy.friction import Friction
 from .energy.membrane import Membrane
 from .energy.plies import PlyContact
+from .energy.pressure import Pressure
 from .energy.slip import SlipResistance
 from .energy.term import Term
 from .fingerprint import fingerprint
@@ -55,7 +56,8 @@ class Model:
         Load that keeps the model together (holder weight of the modelled share), N: residuals are
         relative to 2 % of it while the driving force is smaller.
     loads : dict of number in x to (n, 2) array
-        Prescribed loads, N, over the travel, mm: rows, linear in between, constant beyond.
+        Prescribed loads, N, or pressures, MPa, over the travel, mm: rows, linear in between,
+        constant beyond.
     dead_load : float
         Whole load, N, to which residuals are relative where the travel is its factor.
     description : list of (entry, reason)
@@ -176,6 +178,11 @@ class Model:
         found = self.ply_contacts if len(self.sheets) > 1 else []
         return list(zip(found[::2], found[1::2], strict=True))
 
+    @property
+    def pressures(self) -> list[Pressure]:
+        """The pressure terms."""
+        return [term for term in self.terms if isinstance(term, Pressure)]
+
     def add(self, name: str, components: int, sheet: Sheet | None = None, **given: Any) -> Field:
         """Append a field, free and zero at the start, at the nodes of a sheet or without places."""
         if sheet is not None:
@@ -212,6 +219,11 @@ class Model:
         for dof, rows in self.loads.items():
             x[dof] = np.interp(travel, *rows.T)
         return x, rate
+
+    def pressed(self, travel: float) -> float:
+        """Force of the pressures on the flat sheet at a travel, N."""
+        x = self.prescribed(travel)[0] if self.pressures else self.x0
+        return float(sum(term.area * x[term.dof] for term in self.pressures))
 
     def collapsed(self, x: FloatArray, travel: float) -> dict[str, Any] | None:
         """Where triangles are sheared beyond 85 degrees or turned over at a travel, mm, or None."""

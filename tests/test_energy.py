@@ -28,6 +28,7 @@ from quasiform.energy.contact import (
 from quasiform.energy.friction import STICK, Friction
 from quasiform.energy.gripper import Grip
 from quasiform.energy.membrane import Membrane, PairedMembrane
+from quasiform.energy.pressure import Pressure, PressureAtEdge, free_edges
 from quasiform.energy.slip import SlipBending, SlippingMembrane, SlipResistance, SlipWidth
 from quasiform.energy.softening import Softening
 from quasiform.energy.term import Term, compiled
@@ -312,6 +313,17 @@ def sheet_weight():
     return Case(term, np.append(deformed(blank), 0.7), prescribed=1)
 
 
+def pressure(blank="cut", edge=False, p=0.3):
+    """With a free edge that has moved since its last refresh."""
+    blank = BLANKS[blank]
+    term = Pressure(sheet_of(blank), 3 * len(blank.nodes), 2.0)
+    x = np.append(deformed(blank), p)
+    if not edge:
+        return Case(term, x, prescribed=1)
+    term = PressureAtEdge(term)
+    return Case(term, x, prescribed=1, state=term.initial(np.append(deformed(blank, seed=1), p)))
+
+
 def tool_weight():
     return Case(ToolWeight(2.5, 1), np.array([0.0, 12.0]))
 
@@ -366,6 +378,8 @@ HELD = {
     "weight of the sheet": sheet_weight,
     "force on a tool": tool_force,
     "weight of a tool": tool_weight,
+    "pressure": pressure,
+    "pressure at the edge": lambda: pressure(edge=True),
     "gripper": gripper,
 }
 CASES = {**FREE, **ON_TOOLS, **HELD}
@@ -1427,6 +1441,50 @@ def test_work_against_friction_is_stored_or_dissipated(name):
 
 
 # Weight
+
+
+@pytest.mark.parametrize("blank", ["cut", "quarter"])
+def test_pressure_is_a_force_along_the_normal_of_each_triangle(blank):
+    """Also at a free edge, and of a part in its mirror planes as of the whole."""
+    case, edge = pressure(blank), pressure(blank, edge=True)
+    blank, x, force = BLANKS[blank], case.x, np.zeros(len(case.x))
+    for axis, plane in enumerate("xy"):  # which the mirror planes keep in place
+        if plane in blank.mirror:
+            x[axis:-1:3][np.abs(blank.nodes[:, axis]) < 1e-9] = 0.0
+    case.term.add_gradient(force, x, None)
+    edge.term.add_gradient(force, x, edge.term.initial(x))
+    exact, corners = np.zeros((len(blank.nodes), 3)), x[:-1].reshape(-1, 3)[blank.triangles]
+    area = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    for k in range(3):
+        np.add.at(exact, blank.triangles[:, k], 0.3 * area / 3)
+    found, free = force[:-1].reshape(-1, 3), np.ones((len(blank.nodes), 3), dtype=bool)
+    for axis, plane in enumerate("xy"):
+        if plane in blank.mirror:
+            free[np.abs(blank.nodes[:, axis]) < 1e-9, axis] = False
+    assert len(free_edges(blank)) > 8
+    assert_allclose(found[free], exact[free], atol=1e-12 * np.abs(exact).max())
+
+
+def test_work_of_a_pressure_at_a_free_edge_is_counted():
+    """A flat sheet that is lifted, turned by 90 degrees and moved along: p A for each mm."""
+    case = pressure("aligned", edge=True, p=0.3)
+    whole, blank = pressure("aligned").term, BLANKS["aligned"]
+    start = np.append(flat(blank), 0.3)
+    R = Rotation.from_euler("y", 90.0, degrees=True).as_matrix()
+    before = case.term.initial(start)
+    stored, lost = whole.total(start, None) + case.term.total(start, before), 0.0
+    for s in np.linspace(0.0, 1.0, 33)[1:]:
+        R = Rotation.from_euler("y", 90.0 * s, degrees=True).as_matrix()
+        moved = flat(blank).reshape(-1, 3) @ R.T + [40.0 * s**2, 0.0, 10.0 * s]
+        x = np.append(moved.ravel(), 0.3)
+        after = case.term.commit(x, before)
+        lost += case.term.dissipated(before, after, x)
+        before = after
+    stored = whole.total(x, None) + case.term.total(x, before) - stored
+    turn = np.linspace(0.0, 1.0, 100001)
+    path = np.sin(np.pi / 2 * turn) * 80.0 * turn + np.cos(np.pi / 2 * turn) * 10.0
+    work = 0.3 * whole.area * np.trapezoid(path, turn)  # n·dx of the middle
+    assert stored + lost == pytest.approx(work, rel=2e-3)
 
 
 def test_dead_loads():

@@ -25,7 +25,7 @@ from ..energy.membrane import membrane_of
 from ..energy.plies import pair_name, slip_between
 from ..energy.softening import Softening, bending_terms
 from ..energy.term import Term
-from ..energy.weight import GRAVITY, SheetWeight, ToolForce, ToolWeight, load_of
+from ..energy.weight import GRAVITY, SheetWeight, ToolWeight, load_of
 from ..fabric import Fabric, fabric_of
 from ..model import Model
 from ..net import free_mesh
@@ -38,6 +38,7 @@ from ..tools.shapes import Tool, turned
 from ..unknowns import Unknowns
 from . import scene_file, stack
 from .blank_file import blank_from_file
+from .loads import FORCE, PRESSURE, force_over_travel, pressure_on_sheet, sink
 from .mechanics import check_mechanics
 from .room import check_clearance, mirror_planes, smallest_radius, what_resolves
 from .scene_file import SceneFile, SurfaceFile, ToolPart, check_increments
@@ -47,7 +48,7 @@ from .supports import fix_supports, grips, keep_middle
 
 LEAST = 0.5  # of the default size: how fine it may be for the sake of a fillet
 FINE = 0.4  # of the smallest fillet: the mesh of the path
-FACTOR, FORCE = "load factor of the weight", "force on the "
+FACTOR = "load factor of the weight"
 
 
 def forming(
@@ -171,6 +172,7 @@ def formed_between_tools(
     thickness = sum(layer.fabric.thickness for layer in layers)
     increments = {"largest": file.increment or usual, "rows": file.rows or usual}
     check_increments(travel, **increments)
+    deep = file.depth(outline, travel)
     from_files = like.tools[1] if like else _from_files(file, thickness, outline)
     tools = [_tool(part, layers, thickness, from_files.get(part.name)) for part in file.tools]
     for read in from_files.values():
@@ -179,7 +181,7 @@ def formed_between_tools(
     if not like:
         check_clearance(tools, from_files, outline, thickness, travel)
     mirrored = like and like.tools[2]
-    mirrored = mirrored or _mirror_planes(file, tools, layers, travel, symmetry)
+    mirrored = mirrored or _mirror_planes(file, tools, layers, deep, symmetry)
     mirror, why = mirrored
     description += stack.described(layers) + why
     frame, unknowns = layers[0].orientation if mirror else 0.0, Unknowns()
@@ -193,8 +195,9 @@ def formed_between_tools(
         unknowns.add(tool.name, 3 if tool.tilts else 1)
         if len(tool.forces) > 1:
             unknowns.add(FORCE + tool.name, 1)
-    if file.gravity:
-        unknowns.add(FACTOR, 1)
+    for name, given in ((FACTOR, file.gravity), (PRESSURE, file.pressure is not None)):
+        if given:
+            unknowns.add(name, 1)
     x0, fixed, drive = unknowns.start(*sheets)
     fabric = layers[0].fabric if file.plies else fabric
     parameters = {"scene": name} | ({"scene_file": file.source} if file.source else {})
@@ -268,8 +271,9 @@ def _mirror_planes(
 def _from_files(
     file: SceneFile, thickness: float, outline: shapely.Polygon
 ) -> dict[str, tool_file.ToolFile]:
+    deep = file.depth(outline, file.travel)
     return {
-        part.name: tool_file.read(part, outline, file.travel, thickness)
+        part.name: tool_file.read(part, outline, deep, thickness)
         for part in file.tools
         if isinstance(part.shape, SurfaceFile)
     }
@@ -312,6 +316,7 @@ def _assemble(model: Model, file: SceneFile, tools: list[Tool], layers: Sequence
     """Put energies and supports into a model."""
     contacts = _with_tools(model, file, tools, layers)
     weights: list[Term] = _rest(model, contacts, layers)
+    sink(model, file, contacts)
     for contact in contacts:
         if (contact.penetration(model.x0) > contact.sheet.fabric.thickness).any():
             read = model.tools[1].get(contact.tool.name)
@@ -337,7 +342,7 @@ def _assemble(model: Model, file: SceneFile, tools: list[Tool], layers: Sequence
         for sheet in model.sheets:
             keep_middle(model, sheet, file)
     between = stack.between_plies(model, layers) if len(layers) > 1 else []
-    weights += _sheet_weights(model, file, layers)
+    weights += [*_sheet_weights(model, file, layers), *pressure_on_sheet(model, file)]
     model.resting += sum(g.tension for g in file.grippers)
     model.resting += sum(
         file.gravity * 1e-6 * GRAVITY * sheet.fabric.areal_weight * sheet.blank.areas.sum()
@@ -412,7 +417,7 @@ def _rest(model: Model, contacts: Sequence[Contact], layers: Sequence[Layer]) ->
         load = load_of(tool) * model.share
         constant = load
         if len(tool.forces) > 1:
-            weights.append(_force_over_travel(model, tool, dof))
+            weights.append(force_over_travel(model, tool, dof))
             constant -= tool.forces[0, 1] * model.share
         weights.append(ToolWeight(constant, dof, f"weight of the {tool.name}"))
         model.resting += load
@@ -423,16 +428,6 @@ def _rest(model: Model, contacts: Sequence[Contact], layers: Sequence[Layer]) ->
         if contact.tool.motion == "free":
             x0[contact.tool_dofs[0]] -= (len(layers) + 1) * sunk
     return weights
-
-
-def _force_over_travel(model: Model, tool: Tool, dof: int) -> ToolForce:
-    """Prescribe the force on a tool over the travel, and return its energy."""
-    force = int(model.unknowns[FORCE + tool.name].dofs[0, 0])
-    rows = tool.forces * [1.0, model.share]
-    model.loads[force], model.fixed[force], model.x0[force] = rows, True, rows[0, 1]
-    shown = ", ".join(f"{newton:g} N at {travel:g} mm" for travel, newton in tool.forces)
-    model.description.append((f"{FORCE}{tool.name} over the travel", shown))
-    return ToolForce(dof, force, tool.height, FORCE + tool.name)
 
 
 def _between_nodes(model: Model, contacts: Sequence[Contact]) -> list[Contact]:

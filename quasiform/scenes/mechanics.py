@@ -41,9 +41,9 @@ def check_mechanics(
     gaps = {}
     for tool in (tool for tool in tools if tool.motion != "free"):
         points = _points(box_of(tool, from_files), outline)
-        gap = _least_gap(tool, points, thickness, travel)
+        gap = _least_gap(tool, points, thickness, travel if file.driven else thickness)
         gaps.setdefault(tool.motion, []).append((gap, tool.name, tool))
-    gap, name, tool = min(gaps["driven"], key=lambda found: found[0])
+    gap, name, tool = min(gaps.get("driven", [(0.0, "pressure", None)]), key=lambda found: found[0])
     if gap > TOUCH * thickness:
         at = position(middle(tool, from_files))
         across = np.ptp(box_of(tool, from_files), axis=0).max() if name in from_files else 0.0

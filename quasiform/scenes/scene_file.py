@@ -359,10 +359,11 @@ class Scene(Table):
     """
 
     name: StrictStr = OPEN
-    travel: number("Travel of the driven tools from first touch", "mm")
+    travel: number("Travel of the driven tools from first touch, or path of a pressure", "mm")
     law: checked(_law, type="string", description="Preset, or path of a material file") = "locking"
     fabric: Annotated[dict[str, Any], Field(description="Keys that replace those of `law`")] = OPEN
     gravity: _flag("Whether the sheet's own weight acts") = False
+    pressure: number("On the upper face; a number rises from 0", "MPa", zero=True, over="mm") = OPEN
     symmetry: _word("Whether mirror planes are used", "auto", "half", "none") = "auto"
     blank: _union(_Blank, REGION, LARGEST, _blank, _OWN_MESH)
     tools: dict[str, _union(_Tool, SHAPES, FAR_OFF, _part, _FROM_FILE)]
@@ -378,8 +379,10 @@ class Scene(Table):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         check_increments(self.travel, **self.increments.model_dump())
-        if not any(tool.motion == "driven" for tool in self.tools.values()):
-            raise InputError("no tool is driven: one of [tools] needs role = 'punch'")
+        driven = any(tool.motion == "driven" for tool in self.tools.values())
+        if not driven and (self.pressure is None or not self.tools):
+            words = "one of [tools] needs role = 'punch', or the scene a tool and a pressure"
+            raise InputError(f"no tool is driven: {words}")
         return self
 
 
@@ -394,7 +397,6 @@ def check_increments(travel: float, **increments: float | None) -> None:
 NOT_POSSIBLE = {  # keys that people try: what is possible instead
     "layers": "layers are given as [[plies]], from the punch down",
     "slits": "cuts that open are not modelled; holes and notches are",
-    "pressure": "a pressure on the sheet is not modelled; a holder's force is",
     "diaphragm": "diaphragms are not modelled",
     "temperature": "the fabric is dry and cold: no matrix, no temperature",
 }
@@ -436,7 +438,7 @@ def _scene(table: dict[str, Any], folder: Path, stem: str) -> SceneFile:
         outputs=scene.outputs.model_dump(),
         run={} if scene.run is None else _without_none(scene.run.model_dump()),
         standings=schema.standings(table),
-        **scene.model_dump(include={"travel", "gravity", "symmetry"}),
+        **scene.model_dump(include={"travel", "gravity", "symmetry", "pressure"}),
         **scene.blank,
     )
     for name, digest in (checksums(file.files()) if scene.files else {}).items():
@@ -528,7 +530,7 @@ def scene_toml(file: SceneFile) -> str:
     blank = _region_table(file.blank) if file.blank else {"mesh_scale": file.mesh_scale}
     blank |= {"orientation": file.orientation, "size": file.size, "mesh": file.mesh}
     tools = {"holder" if t.name == "blank holder" else t.name: _tool_table(t) for t in file.tools}
-    settings = ("name", "travel", "law", "gravity", "symmetry")
+    settings = ("name", "travel", "law", "gravity", "pressure", "symmetry")
     given = {"largest": file.increment, "rows": file.rows}
     table = {key: getattr(file, key) for key in settings} | {
         "blank": blank,

@@ -14,6 +14,7 @@ import shapely
 from ..fabric import Fabric
 from ..net import outline as outlines
 from ..tools.part import ToolPart
+from ..tools.shapes import Rows
 
 Point = tuple[float, float]
 REGION: dict[str, tuple[Callable[..., shapely.Polygon], tuple[str, ...]]] = {
@@ -119,7 +120,7 @@ class SceneFile:
 
     name: str
     blank: Region | None  # the flat sheet; None where the user's own mesh brings its outline
-    travel: float  # of the driven tools, from first touch, mm
+    travel: float  # of the driven tools, from first touch, mm; without them a path of the loads
     tools: tuple[ToolPart, ...]
     orientation: float = 0.0  # angle of the warp to x, degrees
     size: float | None = None  # spacing of the fibre lines, mm
@@ -127,6 +128,7 @@ class SceneFile:
     mesh_scale: float = 1.0  # mm
     law: str | Fabric = "locking"  # a preset, the path of a material file, or the fabric itself
     gravity: bool = False  # whether the sheet's own weight acts
+    pressure: float | Rows | None = None  # on the upper face, MPa; rows: over the travel, mm
     supports: tuple[Support, ...] = ()
     grippers: tuple[Gripper, ...] = ()
     plies: tuple[Ply, ...] = ()  # from the punch down; none: one sheet
@@ -144,6 +146,22 @@ class SceneFile:
     def __post_init__(self) -> None:
         for name in ("tools", "supports", "grippers", "plies"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
+
+    @property
+    def driven(self) -> bool:
+        """Whether a tool is driven."""
+        return any(tool.motion == "driven" for tool in self.tools)
+
+    @property
+    def pressures(self) -> np.ndarray:
+        """(n, 2) travel, mm, and pressure, MPa; a constant one rises from zero to the end."""
+        p = self.pressure
+        return np.array(p if isinstance(p, tuple) else [(0.0, 0.0), (self.travel, p or 0.0)])
+
+    def depth(self, outline: shapely.Polygon, travel: float) -> float:
+        """How far the sheet may go down, mm: the travel of a tool, or half of the blank."""
+        across = float(np.ptp(np.reshape(outline.bounds, (2, 2)), axis=0).max())
+        return travel if self.driven else max(travel, 0.5 * across)
 
     @property
     def outline(self) -> shapely.Polygon:

@@ -159,9 +159,8 @@ class Run:
         self.equations.begin(self.x, target)
         moved, memory = self._climb(target, rungs)
         force, stored = self._force_and_energy(moved, memory)
-        work = 0.5 * (account.force + force) * (target - s)
+        work, given = self.equations.works(self.x, self.memory, moved)
         lost = self.equations.potential.dissipated(self.memory, memory, moved)
-        given = self.equations.load_work(self.x, moved)
         gap = work + given - (stored - account.stored) - lost
         # at the end there will be at least the work so far in proportion to the travel
         expected = (abs(account.work) + abs(work)) * self.model.travel / target

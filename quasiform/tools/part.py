@@ -76,4 +76,5 @@ class ToolPart:
         if not isinstance(self.geometry, Form):
             return self.geometry
         shape = self.geometry.build()
-        return shapes.flipped(shape) if self.role == "holder" else shape
+        turned = self.role == "holder" or (self.role == "die" and "punch" in self.geometry.shape)
+        return shapes.flipped(shape) if turned else shape

@@ -1,0 +1,125 @@
+"""Scenes with a pressure on the sheet: its load, mirror planes, records, and what is refused."""
+
+import numpy as np
+import pytest
+import shapely
+from numpy.testing import assert_array_equal
+
+import quasiform as qf
+from quasiform.energy.contact import Contact
+from quasiform.energy.friction import Friction
+from quasiform.scenes import scene_file
+
+MALE = """
+travel = 50.0
+pressure = 0.02
+[blank]
+shape = "disc"
+radius = 60.0
+[tools.die]
+shape = "round punch"
+radius = 75.0
+"""
+FEMALE = """
+travel = 50.0
+pressure = [[0.0, 0.001], [50.0, 0.003]]
+[blank]
+shape = "rectangle"
+length = 300.0
+width = 300.0
+[tools.die]
+shape = "round opening"
+radius = 80.0
+fillet = 10.0
+[tools.holder]
+shape = "round opening"
+radius = 80.0
+fillet = 10.0
+mass = 10.0
+tilt = false
+"""
+
+
+def scene(folder, text, **given):
+    path = folder / "scene.toml"
+    path.write_text(text)
+    return qf.forming(str(path), **given)
+
+
+def on_fixed_tools(result):
+    """Downward force of the whole sheet on the fixed tools, with friction, N."""
+    x, found = result.states[-1].x, 0.0
+    for term, state in zip(result.model.terms, result.memory, strict=True):
+        if isinstance(term, Contact | Friction) and term.contact.tool.motion == "fixed":
+            found += term.gradient(x, state)[:, term.contact.height_column].sum()
+    return found / result.model.share
+
+
+@pytest.fixture(scope="module")
+def male(tmp_path_factory):
+    return qf.solve(scene(tmp_path_factory.mktemp("male"), MALE, size=10.0), estimate=False)
+
+
+def test_a_male_tool_bears_the_pressure_on_the_projected_area(male):
+    """Without any tool that is driven, at a full load that rises from zero."""
+    assert male.status == "completed"
+    assert male.certified.converged
+    area = shapely.Polygon(male.positions()[male.blank.outline[0], :2]).area
+    assert on_fixed_tools(male) == pytest.approx(0.02 * area, rel=0.01)
+    assert male.history["pressure_force_N"][-1] == pytest.approx(0.02 * area, rel=1e-3)
+    assert male.history["pressure_MPa"] == pytest.approx(0.02 * male.history["travel_mm"] / 50.0)
+    assert area < 0.9 * np.pi * 60.0**2  # the sheet lies on the hemisphere
+
+
+def test_a_part_between_mirror_planes_bears_its_share(tmp_path):
+    """A female tool with a holder; the load starts with the travel."""
+    given = {"size": 25.0, "travel": 20.0}
+    part, whole = (
+        qf.solve(scene(tmp_path, FEMALE, symmetry=symmetry, **given), estimate=False)
+        for symmetry in ("auto", "none")
+    )
+    assert (part.model.share, whole.model.share) == (0.25, 1.0)
+    for result in (part, whole):
+        assert result.status == "completed"
+        force = result.history["pressure_force_N"][-1] + 98.1
+        assert on_fixed_tools(result) == pytest.approx(force, rel=1e-3)
+        assert result.history["holder_force_N"][-1] == pytest.approx(98.1, rel=1e-3)
+    assert part.history["pressure_force_N"][-1] == pytest.approx(
+        whole.history["pressure_force_N"][-1], rel=1e-3
+    )
+    assert part.shear_angle.max() == pytest.approx(whole.shear_angle.max(), rel=0.01)
+
+
+def test_a_stopped_run_is_continued_as_it_was(male, tmp_path):
+    given = {"estimate": False, "out": tmp_path / "out"}
+    model = scene(tmp_path, MALE, size=10.0)
+    stopped = qf.solve(model, callback=lambda p: p.travel > 20.0, **given)
+    assert stopped.status == "stopped"
+    end = qf.solve(model, resume=True, **given)
+    assert_array_equal(end.states[-1].x, male.states[-1].x)
+    assert end.energy_balance == male.energy_balance
+
+
+def test_a_scene_with_a_pressure_is_written_back(tmp_path):
+    for text in (MALE, FEMALE):
+        scene(tmp_path, text)
+        file = scene_file.load(str(tmp_path / "scene.toml"))
+        (tmp_path / "again.toml").write_text(scene_file.scene_toml(file))
+        again = scene_file.load(str(tmp_path / "again.toml"))
+        assert again.pressure == file.pressure
+        assert scene_file.scene_toml(again) == scene_file.scene_toml(file)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("pressure = 0.02", "", "no tool is driven"),
+        ("pressure = 0.02", "pressure = -1", "pressure"),
+        ("pressure = 0.02", "pressure = [[0.0, 0.1]]", "two rows or more, .travel in mm, MPa."),
+        ("radius = 75.0", "radius = 75.0\nz = -50.0", "nothing holds the sheet under the pressure"),
+        ("radius = 75.0", 'radius = 75.0\nmotion = "free"\nmass = 1.0', "nothing holds the sheet"),
+    ],
+)
+def test_what_is_refused(tmp_path, old, new, words):
+    with pytest.raises(qf.InputError, match=words):
+        scene(tmp_path, MALE.replace(old, new), size=10.0)
