@@ -58,6 +58,8 @@ class Model:
     loads : dict of number in x to (n, 2) array
         Prescribed loads, N, or pressures, MPa, over the travel, mm: rows, linear in between,
         constant beyond.
+    strokes : dict of number in x to (n, 2) array
+        Motion along `drive` over the travel, mm, of driven tools that do not just follow it.
     dead_load : float
         Whole load, N, to which residuals are relative where the travel is its factor.
     description : list of (entry, reason)
@@ -99,6 +101,7 @@ class Model:
     share: float = 1.0
     resting: float = 0.0
     loads: dict[int, FloatArray] = field(default_factory=dict)
+    strokes: dict[int, FloatArray] = field(default_factory=dict)
     dead_load: float = 0.0
     description: list[tuple[str, str]] = field(default_factory=list)
     parameters: dict[str, Any] = field(default_factory=dict)
@@ -218,7 +221,15 @@ class Model:
         x, rate = drive(travel) if callable(drive) else (self.x0 + travel * drive, drive)
         for dof, rows in self.loads.items():
             x[dof] = np.interp(travel, *rows.T)
+        for dof, rows in self.strokes.items():
+            x[dof] = self.x0[dof] + rate[dof] * np.interp(travel, *rows.T)
         return x, rate
+
+    def next_stage(self, travel: float) -> float:
+        """Travel at which loads or tools next change their rate, or the end."""
+        rows = [*self.loads.values(), *self.strokes.values(), np.array([[self.travel, 0.0]])]
+        ends = np.concatenate(rows)[:, 0]
+        return float(ends[ends > travel * (1 + 1e-12)].min(initial=self.travel))
 
     def pressed(self, travel: float) -> float:
         """Force of the pressures on the flat sheet at a travel, N."""

@@ -42,7 +42,7 @@ tilt = false
 
 def scene(folder, text, **given):
     path = folder / "scene.toml"
-    path.write_text(text)
+    path.write_text(text + "[outputs]\npictures = false\nincrements = false\n")
     return qf.forming(str(path), **given)
 
 
@@ -123,3 +123,107 @@ def test_a_scene_with_a_pressure_is_written_back(tmp_path):
 def test_what_is_refused(tmp_path, old, new, words):
     with pytest.raises(qf.InputError, match=words):
         scene(tmp_path, MALE.replace(old, new), size=10.0)
+
+
+# Stages, one after the other
+
+STAGES = """
+travel = 60.0
+pressure = [[0.0, 0.0], [20.0, 0.0], [30.0, 0.002], [40.0, 0.0]]
+[blank]
+shape = "rectangle"
+length = 300.0
+width = 300.0
+[tools.punch]
+shape = "round punch"
+radius = 75.0
+stroke = [[0.0, 0.0], [20.0, 20.0], [40.0, 20.0], [60.0, -1.0]]
+[tools.die]
+shape = "round opening"
+radius = 80.0
+fillet = 10.0
+[tools.holder]
+shape = "round opening"
+radius = 80.0
+fillet = 10.0
+mass = 10.0
+"""
+
+
+@pytest.fixture(scope="module")
+def staged(tmp_path_factory):
+    return qf.solve(scene(tmp_path_factory.mktemp("staged"), STAGES, size=25.0), estimate=False)
+
+
+def test_a_punch_closes_dwells_under_a_pressure_and_goes_back(staged):
+    assert staged.status == "completed"
+    assert staged.certified.converged
+    s, force = staged.history["travel_mm"], staged.history["force_N"]
+    punch = int(staged.model.unknowns["punch"].dofs[0, 0])
+    z = [state.x[punch] - staged.model.x0[punch] for state in staged.states]
+    assert z == pytest.approx(np.interp(s, [0, 20, 40, 60], [0, -20, -20, 1.0]), abs=1e-12)
+    assert {20.0, 30.0, 40.0, 60.0} <= set(s)
+    at = dict(zip(s, force, strict=True))
+    assert at[20.0] > 1.0
+    assert at[30.0] < 0.9 * at[20.0]  # the pressure takes the sheet off the punch
+    assert abs(at[60.0]) < 1e-3 * at[20.0]
+    pressed = staged.history["pressure_MPa"]
+    assert pressed == pytest.approx(np.interp(s, [20, 30, 40], [0, 0.002, 0]), abs=1e-12)
+
+
+def test_a_stage_is_the_scene_that_ends_there(staged, tmp_path):
+    """Up to the end of its stroke the punch is one without `stroke`; force is by its motion."""
+    alone = STAGES.replace("travel = 60.0", "travel = 20.0")
+    alone = alone.replace("stroke", "# stroke").replace("pressure = ", "# pressure = ")
+    end = qf.solve(scene(tmp_path, alone, size=25.0), estimate=False)
+    row = list(staged.history["travel_mm"]).index(20.0)
+    for name in ("force_N", "draw_in_mm"):
+        assert staged.history[name][row] == pytest.approx(end.history[name][-1], rel=2e-3)
+
+
+def test_a_killed_run_of_stages_goes_on_as_it_was(staged, tmp_path):
+    given = {"estimate": False, "out": tmp_path / "out"}
+    model = scene(tmp_path, STAGES, size=25.0)
+    qf.solve(model, callback=lambda p: p.travel > 47.0, **given)
+    end = qf.solve(model, resume=True, **given)
+    assert_array_equal(end.states[-1].x, staged.states[-1].x)
+    assert end.residual == staged.residual
+
+
+def test_the_force_of_a_tool_that_rises_is_positive(tmp_path):
+    """A male tool from below, against a sheet that is clamped around it."""
+    text = """
+travel = 10.0
+[blank]
+shape = "rectangle"
+length = 100.0
+width = 100.0
+[tools.die]
+motion = "driven"
+shape = "round punch"
+radius = 40.0
+stroke = -10.0
+"""
+    sides = "".join(f'[[supports]]\nside = "{side}"\nfix = "xyz"\n' for side in ("+x", "-x"))
+    rising = qf.solve(scene(tmp_path, text + sides, size=12.5), estimate=False)
+    text = text.replace("[tools.die]", "[tools.punch]").replace("-10.0", "10.0")
+    falling = qf.solve(scene(tmp_path, text + sides, size=12.5), estimate=False)
+    assert rising.status == "completed"
+    assert rising.force == pytest.approx(falling.force, rel=1e-6)
+    assert rising.positions()[:, 2].max() == pytest.approx(10.0, abs=1.0)
+
+
+@pytest.mark.parametrize(
+    ("tool", "words"),
+    [
+        ("stroke = [[0.0, 1.0], [20.0, 20.0]]", "stroke must start at 0 mm, got 1"),
+        ("stroke = [[0.0, 0.0]]", "two rows or more"),
+        ('stroke = 3.0\nmotion = "fixed"', "stroke belongs to a tool with motion = 'driven'"),
+        ("stroke = [[0.0, 0.0], [20.0, 75.0], [60.0, 0.0]]\nradius = 90.0", "a travel of 20 mm"),
+    ],
+)
+def test_strokes_that_are_refused(tmp_path, tool, words):
+    old = STAGES.index("radius = 75.0"), STAGES.index("[tools.die]")
+    radius = "" if "radius" in tool else "radius = 75.0\n"
+    with pytest.raises(qf.InputError, match=words):
+        scene(tmp_path, f"{STAGES[: old[0]]}{radius}{tool}\n{STAGES[old[1] :]}", size=25.0)

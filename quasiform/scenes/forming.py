@@ -38,7 +38,7 @@ from ..tools.shapes import Tool, turned
 from ..unknowns import Unknowns
 from . import scene_file, stack
 from .blank_file import blank_from_file
-from .loads import FORCE, PRESSURE, force_over_travel, pressure_on_sheet, sink
+from .loads import FORCE, PRESSURE, drive_tool, force_over_travel, pressure_on_sheet, sink
 from .mechanics import check_mechanics
 from .room import check_clearance, mirror_planes, smallest_radius, what_resolves
 from .scene_file import SceneFile, SurfaceFile, ToolPart, check_increments
@@ -172,16 +172,15 @@ def formed_between_tools(
     thickness = sum(layer.fabric.thickness for layer in layers)
     increments = {"largest": file.increment or usual, "rows": file.rows or usual}
     check_increments(travel, **increments)
-    deep = file.depth(outline, travel)
     from_files = like.tools[1] if like else _from_files(file, thickness, outline)
     tools = [_tool(part, layers, thickness, from_files.get(part.name)) for part in file.tools]
     for read in from_files.values():
         description += read.description(tools, outline, travel)
     description += blank_from_file(file, own, outline, tools, from_files)
     if not like:
-        check_clearance(tools, from_files, outline, thickness, travel)
+        check_clearance(file, tools, from_files, outline, thickness, travel)
     mirrored = like and like.tools[2]
-    mirrored = mirrored or _mirror_planes(file, tools, layers, deep, symmetry)
+    mirrored = mirrored or _mirror_planes(file, tools, layers, travel, symmetry)
     mirror, why = mirrored
     description += stack.described(layers) + why
     frame, unknowns = layers[0].orientation if mirror else 0.0, Unknowns()
@@ -195,9 +194,9 @@ def formed_between_tools(
         unknowns.add(tool.name, 3 if tool.tilts else 1)
         if len(tool.forces) > 1:
             unknowns.add(FORCE + tool.name, 1)
-    for name, given in ((FACTOR, file.gravity), (PRESSURE, file.pressure is not None)):
-        if given:
-            unknowns.add(name, 1)
+    for factor, acts in ((FACTOR, file.gravity), (PRESSURE, file.pressure is not None)):
+        if acts:
+            unknowns.add(factor, 1)
     x0, fixed, drive = unknowns.start(*sheets)
     fabric = layers[0].fabric if file.plies else fabric
     parameters = {"scene": name} | ({"scene_file": file.source} if file.source else {})
@@ -271,7 +270,8 @@ def _mirror_planes(
 def _from_files(
     file: SceneFile, thickness: float, outline: shapely.Polygon
 ) -> dict[str, tool_file.ToolFile]:
-    deep = file.depth(outline, file.travel)
+    low, high = file.heights(outline, file.travel)
+    deep = max(-low, high)
     return {
         part.name: tool_file.read(part, outline, deep, thickness)
         for part in file.tools
@@ -291,7 +291,7 @@ def _tool(
     friction = fabric.friction if part.friction is None else part.friction
     tilts = part.motion == "free" and part.tilt is not False
     loads = part.mass, part.force
-    return Tool(part.name, shape, z, part.motion, friction, *loads, part.place, tilts)
+    return Tool(part.name, shape, z, part.motion, friction, *loads, part.place, tilts, part.stroke)
 
 
 def _in_frame(tool: Tool, frame: float, blank: Blank) -> Tool:
@@ -401,7 +401,7 @@ def _rest(model: Model, contacts: Sequence[Contact], layers: Sequence[Layer]) ->
         tool, dof, sheet = contact.tool, int(contact.tool_dofs[0]), contact.sheet
         x0[dof] = tool.height
         fixed[dof] = tool.motion != "free"
-        model.drive[dof] = -1.0 if tool.motion == "driven" else 0.0
+        drive_tool(model, tool, dof)
         if tool.motion != "free":
             continue
         for axis, plane in enumerate("xy"):

@@ -1,4 +1,4 @@
-"""What a scene prescribes over the path: forces on free tools, a pressure on the sheet."""
+"""What a scene prescribes over the travel: driven tools, forces on free ones, a pressure."""
 
 from __future__ import annotations
 
@@ -26,6 +26,18 @@ def force_over_travel(model: Model, tool: Tool, dof: int) -> ToolForce:
     shown = over_travel(tool.forces, "N")
     model.description.append((f"{FORCE}{tool.name} over the travel", shown))
     return ToolForce(dof, force, tool.height, FORCE + tool.name)
+
+
+def drive_tool(model: Model, tool: Tool, dof: int) -> None:
+    """Prescribe the motion of a tool; its force counts where it goes farthest, down or up."""
+    if tool.motion != "driven":
+        return
+    model.drive[dof] = -1.0
+    if tool.stroke:
+        down = np.array(tool.stroke)
+        model.drive[dof] = -np.sign(down[np.abs(down[:, 1]).argmax(), 1]) or -1.0
+        model.strokes[dof] = down * [1.0, -model.drive[dof]]
+        model.description.append((f"stroke of the {tool.name}", over_travel(down, "mm")))
 
 
 def prescribe(model: Model, dof: int, rows: np.ndarray) -> None:

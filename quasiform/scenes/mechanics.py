@@ -72,10 +72,10 @@ def _points(box: FloatArray | None, outline: shapely.Polygon) -> FloatArray:
 def _least_gap(tool: Tool, points: FloatArray, thickness: float, travel: float) -> float:
     """Least gap (mm) between a tool and the flat sheet while one of them moves down."""
     least = np.inf
-    for s in np.linspace(0.0, travel, HEIGHTS):
-        z, sunk = (0.5 * thickness, -s) if tool.motion == "driven" else (0.5 * thickness - s, 0.0)
+    for s in (*np.linspace(0.0, travel, HEIGHTS), *tool.turns(travel)):
+        z = 0.5 * thickness - s * (tool.motion != "driven")
         at = np.column_stack([points, np.full(len(points), z)])
-        least = min(least, float(tool.gap(at, sunk).min()) - 0.5 * thickness)
+        least = min(least, float(tool.gap(at, tool.moved(s)).min()) - 0.5 * thickness)
         if least <= 0:
             break
     return least

@@ -36,7 +36,7 @@ from ..recipe import checksums
 from ..schema import LARGEST, OPEN, Table, checked, number, path, vector
 from ..toml_file import read_toml, toml_text, without_format
 from ..tools.part import SHAPES, Form, ToolPart
-from ..tools.shapes import FAR
+from ..tools.shapes import FAR, Rows
 from ..tools.surface_file import SurfaceFile
 from .overrides import merged, overridden
 from .scene_parts import (
@@ -57,7 +57,7 @@ __all__ = [
 ]
 _PACKAGED = Path(__file__).parents[1] / "geometries"
 FOLDER = _PACKAGED if _PACKAGED.is_dir() else Path(__file__).parents[2] / "geometries"
-OF_A_TOOL = ("friction", "mass", "force", "z", "place", "tilt")
+OF_A_TOOL = ("friction", "mass", "force", "z", "place", "tilt", "stroke")
 OF_A_FILE = ("scale", "flip", "rotate", "origin", "spacing", "offset")
 MOST_ROWS = 10_000
 LENGTHS = {  # of the shapes, mm
@@ -220,6 +220,9 @@ class _Tool(Table):
     friction: number("Coulomb coefficient; the fabric's if left out", "1", zero=True) = OPEN
     mass: number("Mass that rests on the sheet", "kg", zero=True) = 0.0
     force: number("Force on the sheet beside the weight", "N", zero=True, over="mm") = 0.0
+    stroke: number("Way down over the travel, of a driven tool", "mm", signed=True, over="mm") = (
+        OPEN
+    )
     z: number("Height; where it touches the sheet if left out", "mm", signed=True) = OPEN
     place: PLACE = (0.0, 0.0)
     tilt: _flag("Whether a free tool may tilt") = OPEN
@@ -251,6 +254,10 @@ def _part(table: _Tool) -> ToolPart:
         raise InputError("a free tool needs a mass or a force, over the whole travel")
     if motion != "free" and table.model_fields_set & {"mass", "force", "tilt"}:
         raise InputError("mass, force and tilt belong to a tool with motion = 'free'")
+    if part.stroke is not None and motion != "driven":
+        raise InputError("stroke belongs to a tool with motion = 'driven'")
+    if isinstance(part.stroke, tuple) and part.stroke[0][1]:
+        raise InputError(f"stroke must start at 0 mm, got {part.stroke[0][1]:g}")
     return part
 
 
@@ -425,7 +432,11 @@ def _scene(table: dict[str, Any], folder: Path, stem: str) -> SceneFile:
     file = SceneFile(
         name=stem if scene.name is None else scene.name,
         tools=tuple(
-            replace(part, name="blank holder" if name == "holder" else name)
+            replace(
+                part,
+                name="blank holder" if name == "holder" else name,
+                stroke=over_travel(part.stroke, scene.travel),
+            )
             for name, part in scene.tools.items()
         ),
         law=law,
@@ -446,6 +457,11 @@ def _scene(table: dict[str, Any], folder: Path, stem: str) -> SceneFile:
             words = "has changed since this scene was written; remove [files] to use it as it is"
             raise InputError(f"{name} {words}")
     return file
+
+
+def over_travel(value: float | Rows | None, travel: float) -> Rows | None:
+    """Rows over the travel of a value, which rises from zero to the end where it is a number."""
+    return ((0.0, 0.0), (travel, value)) if isinstance(value, float) else value
 
 
 def _fabric(table: dict[str, Any], law: str | Fabric) -> Fabric:
@@ -574,7 +590,8 @@ def _tool_table(part: ToolPart) -> dict[str, Any]:
         table = {"file": geometry.path} | {key: getattr(geometry, key) for key in OF_A_FILE}
     else:
         raise InputError(f"{part.name}: a shape of your own cannot be written to a file")
-    keys = [k for k in OF_A_TOOL if part.motion == "free" or k not in ("mass", "force", "tilt")]
+    others = ("stroke",) if part.motion == "free" else ("mass", "force", "tilt")
+    keys = [key for key in OF_A_TOOL if key not in others]
     table |= {"role": part.role, "motion": part.motion}
     return table | {key: getattr(part, key) for key in keys}
 

@@ -158,10 +158,15 @@ class SceneFile:
         p = self.pressure
         return np.array(p if isinstance(p, tuple) else [(0.0, 0.0), (self.travel, p or 0.0)])
 
-    def depth(self, outline: shapely.Polygon, travel: float) -> float:
-        """How far the sheet may go down, mm: the travel of a tool, or half of the blank."""
-        across = float(np.ptp(np.reshape(outline.bounds, (2, 2)), axis=0).max())
-        return travel if self.driven else max(travel, 0.5 * across)
+    def heights(self, outline: shapely.Polygon, travel: float) -> tuple[float, float]:
+        """Between which heights the sheet may be, mm, by its tools, or half of the blank down."""
+        strokes = [part.stroke for part in self.tools if part.motion == "driven"]
+        ends = [0.0, *(-mm for rows in strokes for _, mm in rows or ((0.0, travel),))]
+        if not strokes:
+            ends.append(
+                -max(travel, 0.5 * float(np.ptp(np.reshape(outline.bounds, (2, 2)), 0).max()))
+            )
+        return min(ends), max(ends)
 
     @property
     def outline(self) -> shapely.Polygon:

@@ -37,6 +37,7 @@ class Equilibrium:
     travel: float = 0.0  # where the prescribed unknowns are
     continued: int = 0  # how often they did
     relaxed: int = 0  # iterations of dynamic relaxation so far
+    peak: float = 0.0  # N: largest driving force so far, where tools may go back
     driven: float = np.inf  # mm: longest prescribed motion of a node or a tool in this increment
     memory: Memory = field(init=False)
     foreseen: FloatArray | None = field(init=False, default=None)  # stress, by the last prediction
@@ -182,13 +183,14 @@ class Equilibrium:
 
         The driving force is that of g, or of another gradient `driven`, or that of a pressure if
         it is larger. Before it has grown to 2 % of a resting tool's weight the residual is measured
-        against that, unless `certified`.
+        against that, unless `certified`; where tools go back, against their largest force so far.
         """
         model = self.model
         total = model.unknowns.norm(np.where(model.fixed, 0.0, g))
         if model.dead_load:
             return total / model.dead_load
         floor = self.least_force if certified else 0.02 * model.resting + self.least_force
+        floor += self.peak * (1.0 if certified else 0.02)
         force = abs(self.force(g if driven is None else driven))
         return total / max(force, model.pressed(self.travel), floor)
 

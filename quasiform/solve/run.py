@@ -74,7 +74,7 @@ class Account:
 
     force: float = 0.0  # driving force at the last state, N
     stored: float = 0.0  # energy there, mJ
-    work: float = 0.0  # done by the travel, mJ
+    work: float = 0.0  # done by the travel, mJ; where tools go back, there and back
     given: float = 0.0  # that of loads: from the flat sheet on, and as they change, mJ
     gap: float = 0.0  # what the balance misses of all this work, mJ
     damped: float = 0.0  # what the rescues took up, mJ
@@ -179,6 +179,9 @@ class Run:
         else:
             account.gap += gap
         self.x, self.travel, account.force, account.stored = moved, target, force, stored
+        if self.model.strokes:  # tools that go back give work back
+            self.equations.peak = max(self.equations.peak, abs(force))
+            work = abs(work)
         account.work += work
         account.given += abs(given)
         account.increments += 1

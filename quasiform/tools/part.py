@@ -69,6 +69,7 @@ class ToolPart:
     z: float | None = None
     place: Point = (0.0, 0.0)
     tilt: bool | None = None
+    stroke: shapes.Rows | None = None
 
     @cached_property
     def shape(self) -> Shape | SurfaceFile:
