@@ -25,6 +25,7 @@ from quasiform.energy.contact import (
     share,
     surrounds,
 )
+from quasiform.energy.diaphragm import Diaphragm
 from quasiform.energy.friction import STICK, Friction
 from quasiform.energy.gripper import Grip
 from quasiform.energy.membrane import Membrane, PairedMembrane
@@ -213,6 +214,11 @@ def membrane(blank, dim, fabric=FABRIC):
     return Case(Membrane(sheet_of(blank, fabric, dim)), deformed(blank, dim))
 
 
+def diaphragm(blank="aligned", *given):
+    blank = BLANKS[blank]
+    return Case(Diaphragm(sheet_of(blank), 1.2, *given), deformed(blank))
+
+
 def slipping(kind, blank, dim):
     """Slip of about 0.5 mm, so that some nodes slide; permanent slip that is neither zero."""
     blank, unknowns = BLANKS[blank], Unknowns()
@@ -340,6 +346,8 @@ FREE = {
     "membrane in space, cut": lambda: membrane("cut", 3),
     "paired membrane in the plane": lambda: paired_membrane(2),
     "paired membrane in space": lambda: paired_membrane(3),
+    "diaphragm": lambda: diaphragm(),
+    "diaphragm, cut, compressible, stretched": lambda: diaphragm("cut", 0.4, 1.3),
     "patch bending": patch_bending,
     "bending": lambda: bending("aligned"),
     "bending, cut": lambda: bending("cut"),
@@ -801,6 +809,35 @@ def test_membrane_energy_of_a_homogeneous_deformation():
     S11, S22 = 2 * FABRIC.warp.stress(1.02**2, 1.0), 2 * FABRIC.weft.stress(0.98**2, 1.0)
     S = [[S11, S12], [S12, S22]]
     assert_allclose(term.stress(x), np.broadcast_to(S, (len(blank.triangles), 2, 2)))
+
+
+@pytest.mark.parametrize("poisson", [0.5, 0.3])
+def test_diaphragm_is_linear_elastic_in_plane_stress_at_small_strains(poisson):
+    blank, h = BLANKS["cut"], 1e-4
+    term = Diaphragm(sheet_of(blank), 1.2, poisson)
+
+    def energy(F):
+        x = np.pad(blank.nodes @ np.asarray(F).T, ((0, 0), (0, 1))).ravel()
+        return term.energy(x).sum() / term.volume.sum()
+
+    C = 1.2 / (1 - poisson**2)
+    assert energy(np.diag([1 + h, 1.0])) == pytest.approx(0.5 * C * h**2, rel=1e-3)
+    assert energy(np.diag([1 + h, 1 - poisson * h])) == pytest.approx(0.6 * h**2, rel=1e-3)
+    shear = 0.5 * 1.2 / (2 * (1 + poisson)) * h**2
+    assert energy([[1.0, h], [0.0, 1.0]]) == pytest.approx(shear, rel=1e-3)
+
+
+def test_diaphragm_is_neo_hookean_at_large_stretches():
+    """Nominal stress under equal biaxial stretch, E/3 (λ - λ⁻⁵); and what a prestretch is."""
+    blank, stretch, h = BLANKS["cut"], 2.0, 1e-5
+    term, sheet = Diaphragm(sheet_of(blank), 1.2), np.pad(blank.nodes, ((0, 0), (0, 1)))
+    ends = [term.energy((s * sheet).ravel()).sum() for s in (stretch - h, stretch + h)]
+    nominal = np.diff(ends)[0] / (2 * h) / term.volume.sum() / 2
+    assert nominal == pytest.approx(0.4 * (stretch - stretch**-5), rel=1e-6)
+    larger = replace(blank, nodes=stretch * blank.nodes)
+    term = Diaphragm(sheet_of(larger), 1.2, 0.5, stretch)
+    start = np.pad(larger.nodes, ((0, 0), (0, 1))).ravel()
+    assert term.energy(start).sum() == pytest.approx(np.mean(ends), rel=1e-6)
 
 
 def test_normals_follow_the_sheet_and_turn_with_a_flip():
