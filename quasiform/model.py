@@ -10,9 +10,10 @@ import numpy as np
 
 from .checks import force_column
 from .energy.contact import Contact, surrounds
+from .energy.diaphragm import Diaphragm
 from .energy.friction import Friction
 from .energy.membrane import Membrane
-from .energy.plies import PlyContact
+from .energy.plies import PlyContact, folds_on_itself
 from .energy.pressure import Pressure
 from .energy.slip import SlipResistance
 from .energy.term import Term
@@ -22,6 +23,7 @@ from .unknowns import Field, FloatArray, Sheet, Unknowns
 
 COLLAPSE = np.radians(85.0)
 MOST_TILT = 10.0  # degrees
+DIAPHRAGM = "diaphragm"  # name of the sheet that is none of the fabric
 
 
 @dataclass(repr=False)
@@ -125,16 +127,16 @@ class Model:
 
     @property
     def sheet(self) -> Sheet:
-        """The only sheet; of a stack of plies the first, under the punch."""
+        """The only sheet; of a stack of plies the first, from above."""
         return self.sheets[0]
 
     @property
     def plies(self) -> list[Model]:
-        """The model seen with one of its sheets each; itself where it has one only."""
+        """The model seen with one of its plies each; itself where it has one sheet only."""
         if len(self.sheets) == 1:
             return [self]
         views = []
-        for sheet in self.sheets:
+        for sheet in (sheet for sheet in self.sheets if sheet.name != DIAPHRAGM):
             terms = [term for term in self.terms if getattr(term, "sheet", sheet) is sheet]
             edges = edge_points(sheet.whole[0])
             views.append(replace(self, sheets=[sheet], terms=terms, edges=edges, measures={}))
@@ -238,7 +240,7 @@ class Model:
 
     def collapsed(self, x: FloatArray, travel: float) -> dict[str, Any] | None:
         """Where triangles are sheared beyond 85 degrees or turned over at a travel, mm, or None."""
-        for membrane in self.membranes:
+        for membrane in (m for m in self.membranes if not isinstance(m, Diaphragm)):
             sheet, gamma = membrane.sheet, np.abs(membrane.shear_angle(x))
             bad = gamma > COLLAPSE
             if sheet.dim == 2:
@@ -254,7 +256,7 @@ class Model:
         return None
 
     def lost(self, x: FloatArray) -> str:
-        """Why a free tool no longer rests safely on the sheet; empty if it does."""
+        """Why a free tool or a pressure finds no sound sheet any more; empty if it does."""
         tilting = {c.tool.name: c for c in self.contacts if c.tool.tilts}
         for name, contact in tilting.items():
             tilt = np.degrees(np.abs(x[contact.tool_dofs[1:]]).max() / contact.lever)
@@ -262,6 +264,9 @@ class Model:
                 return f"the {name} tilts by more than {MOST_TILT:g} degrees"
             if not any(surrounds(c, x) for c in self.contacts if c.tool.name == name):
                 return f"the sheet no longer surrounds the weight of the {name}"
+        for sheet in self.sheets if self.pressures else ():  # which presses folds together
+            if folds_on_itself(sheet, x):
+                return f"the {sheet.name} folds on itself, and self-contact is not modelled"
         return ""
 
     def turned_over(self, x: FloatArray, trial: FloatArray) -> bool:

@@ -227,3 +227,94 @@ def test_strokes_that_are_refused(tmp_path, tool, words):
     radius = "" if "radius" in tool else "radius = 75.0\n"
     with pytest.raises(qf.InputError, match=words):
         scene(tmp_path, f"{STAGES[: old[0]]}{radius}{tool}\n{STAGES[old[1] :]}", size=25.0)
+
+
+# Diaphragms
+
+PRESSED = """
+travel = 10.0
+pressure = 0.1
+[blank]
+shape = "rectangle"
+length = 100.0
+width = 80.0
+[tools.die]
+shape = "plane"
+[diaphragm]
+modulus = 1.0
+thickness = 1.0
+[diaphragm.blank]
+shape = "rectangle"
+length = 160.0
+width = 140.0
+[increments]
+largest = 5.0
+rows = 5.0
+"""
+
+
+def test_a_diaphragm_bears_the_pressure_on_the_sheet_under_it(tmp_path):
+    """On a plane die: beyond the sheet the diaphragm comes down on the die itself."""
+    result = qf.solve(scene(tmp_path, PRESSED, size=10.0), estimate=False)
+    assert (result.status, result.reason) == ("completed", "")
+    assert result.certified.converged
+    model, x = result.model, result.states[-1].x
+    assert [sheet.name for sheet in model.sheets] == ["sheet", "diaphragm"]
+    assert len(result.plies) == 1
+    sheet, diaphragm = model.sheets
+    force = on_fixed_tools(result)
+    clamped = model.fixed[diaphragm.dofs[:, 2]]
+    assert clamped.sum() == 16
+    # half a row of elements at the clamp is borne by it
+    assert 0.1 * 150.0 * 130.0 < force < 0.1 * 160.0 * 140.0
+    on_sheet = {c.sheet.name: c.pressure(x) for c in model.contacts}["sheet"]
+    inside = np.abs(sheet.blank.nodes).max(1) < 30.0
+    assert on_sheet[inside] == pytest.approx(0.1, rel=0.02)
+    places = diaphragm.positions(x)
+    assert places[:, 2].min() == pytest.approx(0.5, abs=0.01)  # half of its thickness
+    assert result.history["pressure_force_N"][-1] == pytest.approx(0.1 * 160 * 140, rel=1e-3)
+
+
+def test_a_diaphragm_under_the_sheet_is_pressed_up(tmp_path):
+    """The same upside down: a plane over the sheet."""
+    text = PRESSED.replace("[tools.die]", '[tools.holder]\nmotion = "fixed"')
+    text = text.replace("[diaphragm]", '[diaphragm]\nside = "under"')
+    ends = [
+        qf.solve(scene(tmp_path, words, size=20.0), estimate=False) for words in (PRESSED, text)
+    ]
+    assert [end.status for end in ends] == ["completed"] * 2
+    forces = [on_fixed_tools(end) for end in ends]
+    assert forces[0] == pytest.approx(-forces[1], rel=1e-6)
+    z = [end.model.sheets[1].positions(end.states[-1].x)[:, 2] for end in ends]
+    assert 2.004 - z[1] == pytest.approx(z[0], abs=1e-6)
+
+
+def test_a_scene_with_a_diaphragm_is_written_back(tmp_path):
+    model = scene(tmp_path, PRESSED, size=20.0)
+    file = scene_file.load(str(tmp_path / "scene.toml"))
+    (tmp_path / "again.toml").write_text(scene_file.scene_toml(file))
+    again = scene_file.load(str(tmp_path / "again.toml"))
+    assert again.diaphragm == file.diaphragm
+    assert qf.forming(again, size=20.0).description == model.description
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("modulus = 1.0", "", r"\[diaphragm\] modulus missing"),
+        ("modulus = 1.0", "modulus = -1.0", "modulus"),
+        ("modulus = 1.0", "modulus = 1.0\npoisson = 0.6", "poisson must not exceed 0.5"),
+        ("modulus = 1.0", "modulus = 1.0\nprestretch = 0.9", "prestretch must be at least 1"),
+        ("modulus = 1.0", 'modulus = 1.0\nside = "over"', "side = 'over'"),
+        ("modulus = 1.0", "modulus = 1.0\nclamped = false\nprestretch = 1.1", "prestretch needs"),
+        (
+            "[diaphragm]",
+            '[[supports]]\nside = "+x"\nfix = "z"\n[diaphragm]',
+            "not possible together",
+        ),
+        ("width = 140.0", "width = 140.0\ncentre = [500.0, 0.0]", "does not lie over the blank"),
+    ],
+)
+def test_diaphragms_that_are_refused(tmp_path, old, new, words):
+    with pytest.raises(qf.InputError, match=words):
+        scene(tmp_path, PRESSED.replace(old, new, 1), size=10.0)

@@ -35,12 +35,13 @@ from .term import Standing, Term
 
 
 class Pressure(Term):
-    """Pressure on the upper face: `dof` is the number of p in x, `height` the z of o, mm."""
+    """Pressure p = x[dof] on the upper face, or `up` on the lower one; o at z = `height`, mm."""
 
     name = "pressure"
     load = True
 
-    def __init__(self, sheet: Sheet, dof: int, height: float = 0.0) -> None:
+    def __init__(self, sheet: Sheet, dof: int, height: float = 0.0, up: bool = False) -> None:
+        self.sign = -1.0 if up else 1.0
         self.sheet, self.dof, self.origin = sheet, dof, np.array([0.0, 0.0, height])
         self.area = float(sheet.blank.areas.sum())  # of the flat sheet, mm²
         corners = sheet.dofs[sheet.blank.triangles].reshape(-1, 9)
@@ -53,25 +54,27 @@ class Pressure(Term):
     def volumes(self, x: FloatArray) -> FloatArray:
         """(n,) volumes under the triangles, mm³."""
         a, b, c = self._corners(x)
-        return (a * np.cross(b, c)).sum(1) / 6.0
+        return self.sign * (a * np.cross(b, c)).sum(1) / 6.0
+
+    def areas(self, x: FloatArray) -> FloatArray:
+        """(n, 9) derivatives of the volumes by the corners, mm²."""
+        a, b, c = self._corners(x)
+        return self.sign * np.hstack([np.cross(b, c), np.cross(c, a), np.cross(a, b)]) / 6.0
 
     def energy(self, x: FloatArray, state: None = None) -> FloatArray:
         return x[self.dof] * self.volumes(x)
 
     def gradient(self, x: FloatArray, state: None = None) -> FloatArray:
-        a, b, c = self._corners(x)
-        areas = np.hstack([np.cross(b, c), np.cross(c, a), np.cross(a, b)]) / 6.0
-        return np.column_stack([x[self.dof] * areas, self.volumes(x)])
+        return np.column_stack([x[self.dof] * self.areas(x), self.volumes(x)])
 
     def hessian(self, x: FloatArray, state: None, convex: bool) -> FloatArray:
         """With `convex` only the mixed derivative, which is not a stiffness."""
         H = np.zeros((len(self.dofs), 10, 10))
-        a, b, c = self._corners(x)
-        areas = np.hstack([np.cross(b, c), np.cross(c, a), np.cross(a, b)]) / 6.0
-        H[:, 9, :9] = H[:, :9, 9] = areas
+        H[:, 9, :9] = H[:, :9, 9] = self.areas(x)
         if not convex:
+            a, b, c = self._corners(x)
             for (i, j), side in (((0, 3), -c), ((0, 6), b), ((3, 6), -a)):
-                part = x[self.dof] * skew(side) / 6.0
+                part = self.sign * x[self.dof] * skew(side) / 6.0
                 H[:, i : i + 3, j : j + 3] = part
                 H[:, j : j + 3, i : i + 3] = part.swapaxes(1, 2)
         return H
@@ -109,9 +112,14 @@ class PressureAtEdge(Term):
     def carried(self, state: EdgePlaces | None, old: Standing | None, new: Standing) -> EdgePlaces:
         return self.initial(new.x)
 
+    def _lagged(self, state: EdgePlaces) -> tuple[FloatArray, FloatArray]:
+        """Lagged m and c (n, 3), with the sign of the pressure."""
+        a, b = state.places.swapaxes(0, 1)
+        return 0.5 * self.pressure.sign * (a + b), self.pressure.sign * np.cross(a, b) / 12.0
+
     def _volumes(self, ends: FloatArray, state: EdgePlaces) -> FloatArray:
         """(n,) volumes E/p, mm³."""
-        (a, b), (m, c) = ends.swapaxes(0, 1), _lagged(state)
+        (a, b), (m, c) = ends.swapaxes(0, 1), self._lagged(state)
         return (m * np.cross(b, a)).sum(1) / 6.0 + (c * (a + b)).sum(1)
 
     def dissipated(self, before: EdgePlaces, after: EdgePlaces, x: FloatArray) -> float:
@@ -125,7 +133,7 @@ class PressureAtEdge(Term):
         return x[self.pressure.dof] * self._volumes(self._ends(x), state)
 
     def _areas(self, x: FloatArray, state: EdgePlaces) -> FloatArray:
-        (a, b), (m, c) = self._ends(x).swapaxes(0, 1), _lagged(state)
+        (a, b), (m, c) = self._ends(x).swapaxes(0, 1), self._lagged(state)
         return np.hstack([np.cross(m, b) / 6.0 + c, np.cross(a, m) / 6.0 + c])
 
     def gradient(self, x: FloatArray, state: EdgePlaces) -> FloatArray:
@@ -137,15 +145,9 @@ class PressureAtEdge(Term):
         H = np.zeros((len(self.dofs), 7, 7))
         H[:, 6, :6] = H[:, :6, 6] = self._areas(x, state)
         if not convex:
-            part = x[self.pressure.dof] * skew(_lagged(state)[0]) / 6.0
+            part = x[self.pressure.dof] * skew(self._lagged(state)[0]) / 6.0
             H[:, :3, 3:6], H[:, 3:6, :3] = part, part.swapaxes(1, 2)
         return H
-
-
-def _lagged(state: EdgePlaces) -> tuple[FloatArray, FloatArray]:
-    """M and c (n, 3)."""
-    a, b = state.places.swapaxes(0, 1)
-    return 0.5 * (a + b), np.cross(a, b) / 12.0
 
 
 def free_edges(blank: Blank) -> IntArray:

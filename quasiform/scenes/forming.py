@@ -21,13 +21,12 @@ from ..checks import InputError, check_number, round_length
 from ..energy.bending import Bending, PatchBending
 from ..energy.contact import Contact, at_edges, surrounds
 from ..energy.friction import Friction
-from ..energy.membrane import membrane_of
 from ..energy.plies import pair_name, slip_between
 from ..energy.softening import Softening, bending_terms
 from ..energy.term import Term
 from ..energy.weight import GRAVITY, SheetWeight, ToolWeight, load_of
 from ..fabric import Fabric, fabric_of
-from ..model import Model
+from ..model import DIAPHRAGM, Model
 from ..net import free_mesh
 from ..net.blank import Blank, cut, rotation
 from ..net.edges import edge_points
@@ -38,6 +37,7 @@ from ..tools.shapes import Tool, turned
 from ..unknowns import Unknowns
 from . import scene_file, stack
 from .blank_file import blank_from_file
+from .diaphragm import membranes_of, with_diaphragm
 from .loads import FORCE, PRESSURE, drive_tool, force_over_travel, pressure_on_sheet, sink
 from .mechanics import check_mechanics
 from .room import check_clearance, mirror_planes, smallest_radius, what_resolves
@@ -166,7 +166,8 @@ def formed_between_tools(
         own = free_mesh.own_mesh(file.mesh, orientation, file.mesh_scale)
     outline = free_mesh.outline_of(own) if own else file.outline
     usual = usual_length(outline)
-    layers = stack.layers_of(file, fabric, orientation, outline)
+    plies = stack.layers_of(file, fabric, orientation, outline)
+    layers = with_diaphragm(file, plies)
     _check_layers(layers, size, own)
     outline = stack.outline_of(layers)
     thickness = sum(layer.fabric.thickness for layer in layers)
@@ -182,7 +183,7 @@ def formed_between_tools(
     mirrored = like and like.tools[2]
     mirrored = mirrored or _mirror_planes(file, tools, layers, travel, symmetry)
     mirror, why = mirrored
-    description += stack.described(layers) + why
+    description += stack.described(plies) + why
     frame, unknowns = layers[0].orientation if mirror else 0.0, Unknowns()
     sheets = []
     for layer in layers:
@@ -198,14 +199,16 @@ def formed_between_tools(
         if acts:
             unknowns.add(factor, 1)
     x0, fixed, drive = unknowns.start(*sheets)
-    fabric = layers[0].fabric if file.plies else fabric
+    fabric = plies[0].fabric if file.plies else fabric
     parameters = {"scene": name} | ({"scene_file": file.source} if file.source else {})
     parameters |= {"orientation": orientation, "law": fabric.name, "size": size, "travel": travel}
     parameters |= {"symmetry": symmetry, "fabric": asdict(fabric), "standings": file.standings}
     if file.plies:
         frictions = dict.fromkeys(stack.assumed_frictions(file), "assumed")
         parameters["standings"] = {**file.standings, **frictions}
-        parameters["plies"] = stack.written(layers)
+        parameters["plies"] = stack.written(plies)
+    if file.diaphragm:
+        parameters["diaphragm"] = asdict(file.diaphragm)
     model = Model(
         name=f"{file.name}-{orientation:g}",
         unknowns=unknowns,
@@ -336,12 +339,13 @@ def _assemble(model: Model, file: SceneFile, tools: list[Tool], layers: Sequence
         bending = Bending(sheet, clamped) if blank.pairs is None else PatchBending(sheet)
         bent += bending_terms(bending)
     contacts += _between_nodes(model, contacts)
+    between = stack.between_plies(model, layers) if len(layers) > 1 else []
+    model.sheets.sort(key=lambda sheet: sheet.name == DIAPHRAGM)  # results are those of the plies
     frictions = [Friction(c) for c in contacts if c.tool.friction]
     if not frictions:
         model.description.append(("friction left out", "its coefficient is zero"))
         for sheet in model.sheets:
             keep_middle(model, sheet, file)
-    between = stack.between_plies(model, layers) if len(layers) > 1 else []
     weights += [*_sheet_weights(model, file, layers), *pressure_on_sheet(model, file)]
     model.resting += sum(g.tension for g in file.grippers)
     model.resting += sum(
@@ -351,7 +355,7 @@ def _assemble(model: Model, file: SceneFile, tools: list[Tool], layers: Sequence
     pulls = grips(model, file, outline)
     if softened := [term for term in bent if isinstance(term, Softening)]:
         model.description.append((softened[0].name, "moment_warp or moment_weft of the fabric"))
-    membranes = [membrane_of(sheet) for sheet in model.sheets]
+    membranes = membranes_of(model, file)
     model.terms = [*membranes, *bent, *contacts, *frictions, *between, *weights, *pulls]
     let_slip(model)
 

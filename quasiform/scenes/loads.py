@@ -11,7 +11,7 @@ from ..energy.contact import Contact
 from ..energy.pressure import Pressure, PressureAtEdge
 from ..energy.term import Term
 from ..energy.weight import ToolForce
-from ..model import Model
+from ..model import DIAPHRAGM, Model
 from ..tools.shapes import Tool
 from .scene_file import SceneFile
 
@@ -54,14 +54,17 @@ def pressure_on_sheet(model: Model, file: SceneFile) -> list[Term]:
     """Prescribe the pressure of a scene and return its energies; none without a pressure."""
     if file.pressure is None:
         return []
-    sheet, dof = model.sheets[0], int(model.unknowns[PRESSURE].dofs[0, 0])
+    outer = [sheet for sheet in model.sheets if sheet.name == DIAPHRAGM] or model.sheets
+    sheet, dof = outer[0], int(model.unknowns[PRESSURE].dofs[0, 0])
     prescribe(model, dof, file.pressures)
-    term = Pressure(sheet, dof, float(sheet.positions(model.x0)[:, 2].mean()))
+    up = file.diaphragm is not None and file.diaphragm.side == "under"
+    term = Pressure(sheet, dof, float(sheet.positions(model.x0)[:, 2].mean()), up)
     edge = PressureAtEdge(term)
     load = term.area * file.pressures[0, 1]
     model.resting += load
     shown = over_travel(file.pressures, "MPa")
-    model.description.append((f"pressure on the upper face of the {sheet.name}", shown))
+    face = "lower" if up else "upper"
+    model.description.append((f"pressure on the {face} face of the {sheet.name}", shown))
     model.measures["pressure_MPa"] = lambda x: float(x[dof])
     model.measures["pressure_force_N"] = partial(downward, model.share, term, edge)
     return [term] if model.fixed[edge.dofs].all() else [term, edge]

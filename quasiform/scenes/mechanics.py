@@ -33,7 +33,7 @@ def check_mechanics(
     travel: float,
 ) -> None:
     """Refuse a scene whose driven tools never meet the sheet, or in which nothing holds it."""
-    if file.gravity or file.grippers:  # the sheet moves by itself
+    if file.gravity or file.grippers or file.diaphragm:  # the sheet moves by itself, or is held
         return
     x0, y0, x1, y1 = outline.bounds
     sheet = f"the sheet lies at x {x0:.4g} to {x1:.4g}, y {y0:.4g} to {y1:.4g} mm"

@@ -43,6 +43,7 @@ from .scene_parts import (
     MOTIONS,
     OUTWARDS,
     REGION,
+    ElasticSheet,
     Gripper,
     Ply,
     Region,
@@ -211,6 +212,25 @@ def _ply(table: _Ply, law: str | Fabric, folder: Path) -> Ply:
     return Ply(law=own, **{key: getattr(table, key) for key in keys})
 
 
+class _Diaphragm(Table):
+    modulus: number("Young's modulus", "MPa")
+    thickness: number("Thickness without stress", "mm")
+    poisson: number("Poisson's ratio", "1", most=0.5) = 0.5
+    prestretch: number("Stretch of its flat outline", "1", most=10.0) = 1.0
+    side: _word("On which side of the plies", "above", "under") = "above"
+    clamped: _flag("Whether its edge is clamped") = True
+    friction: number("Coulomb coefficient with the plies", "1", zero=True) = OPEN
+    blank: _union(_Outline, REGION, LARGEST, _region) = OPEN
+
+
+def _diaphragm(table: _Diaphragm) -> ElasticSheet:
+    if table.prestretch < 1.0:
+        raise InputError(f"prestretch must be at least 1, got {table.prestretch:g}")
+    if table.prestretch > 1.0 and not table.clamped:
+        raise InputError("prestretch needs clamped = true")
+    return ElasticSheet(**{key: getattr(table, key) for key in _Diaphragm.model_fields})
+
+
 # Tools
 
 
@@ -377,6 +397,7 @@ class Scene(Table):
     supports: list[Annotated[_Support, AfterValidator(_support)]] = []  # noqa: RUF012
     grippers: list[Annotated[_Gripper, AfterValidator(_gripper)]] = []  # noqa: RUF012
     plies: Annotated[list[_Ply], Field(description="Layers, from the punch down")] = []  # noqa: RUF012
+    diaphragm: Annotated[_Diaphragm, AfterValidator(_diaphragm)] = OPEN
     areas: dict[str, _Area] = {}  # noqa: RUF012
     increments: _Increments = _Increments()
     outputs: _Outputs = _Outputs()
@@ -404,7 +425,6 @@ def check_increments(travel: float, **increments: float | None) -> None:
 NOT_POSSIBLE = {  # keys that people try: what is possible instead
     "layers": "layers are given as [[plies]], from the punch down",
     "slits": "cuts that open are not modelled; holes and notches are",
-    "diaphragm": "diaphragms are not modelled",
     "temperature": "the fabric is dry and cold: no matrix, no temperature",
 }
 
@@ -443,6 +463,7 @@ def _scene(table: dict[str, Any], folder: Path, stem: str) -> SceneFile:
         supports=tuple(scene.supports),
         grippers=tuple(scene.grippers),
         plies=tuple(_ply(ply, law, folder) for ply in scene.plies),
+        diaphragm=scene.diaphragm,
         areas={name: (area.centre, area.radius) for name, area in scene.areas.items()},
         increment=scene.increments.largest,
         rows=scene.increments.rows,
@@ -554,6 +575,7 @@ def scene_toml(file: SceneFile) -> str:
         "supports": [_edge_table(support) for support in file.supports],
         "grippers": [_edge_table(gripper) for gripper in file.grippers],
         **({"plies": [_ply_table(ply) for ply in file.plies]} if file.plies else {}),
+        **({"diaphragm": _outlined(file.diaphragm)} if file.diaphragm else {}),
         "areas": {name: {"centre": c, "radius": r} for name, (c, r) in file.areas.items()},
         **({"increments": given} if any(given.values()) else {}),
         "outputs": dict(file.outputs),
@@ -573,9 +595,13 @@ def _region_table(region: Region) -> dict[str, Any]:
     return {"shape": region.shape, **keys, "centre": region.centre, **holes}
 
 
+def _outlined(part: Ply | ElasticSheet) -> dict[str, Any]:
+    own = {"blank": _region_table(part.blank)} if part.blank else {}
+    return {key: value for key, value in vars(part).items() if key != "blank"} | own
+
+
 def _ply_table(ply: Ply) -> dict[str, Any]:
-    table: dict[str, Any] = {k: v for k, v in vars(ply).items() if k not in ("law", "blank")}
-    table |= {"blank": _region_table(ply.blank)} if ply.blank else {}
+    table = {key: value for key, value in _outlined(ply).items() if key != "law"}
     if isinstance(ply.law, Fabric):
         return table | {"fabric": ply.law.written()}
     return table | {"law": Path(ply.law) if ply.law and ply.law.endswith(".toml") else ply.law}

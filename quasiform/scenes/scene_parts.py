@@ -115,6 +115,20 @@ class Ply:
 
 
 @dataclass(frozen=True)
+class ElasticSheet:
+    """A diaphragm, which lies over the plies or under them."""
+
+    modulus: float  # Young's modulus, MPa
+    thickness: float  # without stress, mm
+    poisson: float = 0.5
+    prestretch: float = 1.0  # of its flat outline
+    side: str = "above"
+    clamped: bool = True  # whether its edge is
+    friction: float | None = None  # Coulomb coefficient with the plies
+    blank: Region | None = None  # its outline; None: that of the plies, enlarged
+
+
+@dataclass(frozen=True)
 class SceneFile:
     """A forming scene as it is written down."""
 
@@ -132,6 +146,7 @@ class SceneFile:
     supports: tuple[Support, ...] = ()
     grippers: tuple[Gripper, ...] = ()
     plies: tuple[Ply, ...] = ()  # from the punch down; none: one sheet
+    diaphragm: ElasticSheet | None = None
     areas: Mapping[str, tuple[Point, float]] = field(default_factory=dict, hash=False)  # discs, mm
     symmetry: str = "auto"  # or "none"
     increment: float | None = None  # largest increment of the travel, mm; None: `usual_length`
@@ -176,7 +191,7 @@ class SceneFile:
     def files(self) -> list[Path]:
         """All files that the scene names: meshes, outlines and surfaces of tools."""
         named: list[Any] = [self.mesh, *(tool.geometry for tool in self.tools)]
-        for blank in (self.blank, *(ply.blank for ply in self.plies)):
+        for blank in (self.blank, *(part.blank for part in (*self.plies, self.diaphragm) if part)):
             named += blank.parameters if blank else ()
         named = [getattr(part, "path", part) for part in named]
         return [part for part in named if isinstance(part, Path)]
