@@ -7,7 +7,6 @@ from numpy.testing import assert_array_equal
 
 import quasiform as qf
 from quasiform.energy.contact import Contact
-from quasiform.energy.friction import Friction
 from quasiform.scenes import scene_file
 
 MALE = """
@@ -50,8 +49,9 @@ def on_fixed_tools(result):
     """Downward force of the whole sheet on the fixed tools, with friction, N."""
     x, found = result.states[-1].x, 0.0
     for term, state in zip(result.model.terms, result.memory, strict=True):
-        if isinstance(term, Contact | Friction) and term.contact.tool.motion == "fixed":
-            found += term.gradient(x, state)[:, term.contact.height_column].sum()
+        contact = getattr(term, "contact", None)
+        if isinstance(contact, Contact) and contact.tool.motion == "fixed":
+            found += term.gradient(x, state)[:, contact.height_column].sum()
     return found / result.model.share
 
 
@@ -233,7 +233,7 @@ def test_strokes_that_are_refused(tmp_path, tool, words):
 
 PRESSED = """
 travel = 10.0
-pressure = 0.1
+pressure = 0.02
 [blank]
 shape = "rectangle"
 length = 100.0
@@ -248,8 +248,8 @@ shape = "rectangle"
 length = 160.0
 width = 140.0
 [increments]
-largest = 5.0
-rows = 5.0
+largest = 2.0
+rows = 2.0
 """
 
 
@@ -266,13 +266,13 @@ def test_a_diaphragm_bears_the_pressure_on_the_sheet_under_it(tmp_path):
     clamped = model.fixed[diaphragm.dofs[:, 2]]
     assert clamped.sum() == 16
     # half a row of elements at the clamp is borne by it
-    assert 0.1 * 150.0 * 130.0 < force < 0.1 * 160.0 * 140.0
+    assert 0.02 * 150.0 * 130.0 < force < 0.02 * 160.0 * 140.0
     on_sheet = {c.sheet.name: c.pressure(x) for c in model.contacts}["sheet"]
     inside = np.abs(sheet.blank.nodes).max(1) < 30.0
-    assert on_sheet[inside] == pytest.approx(0.1, rel=0.02)
+    assert on_sheet[inside] == pytest.approx(0.02, rel=0.02)
     places = diaphragm.positions(x)
     assert places[:, 2].min() == pytest.approx(0.5, abs=0.01)  # half of its thickness
-    assert result.history["pressure_force_N"][-1] == pytest.approx(0.1 * 160 * 140, rel=1e-3)
+    assert result.history["pressure_force_N"][-1] == pytest.approx(0.02 * 160 * 140, rel=1e-3)
 
 
 def test_a_diaphragm_under_the_sheet_is_pressed_up(tmp_path):
@@ -280,7 +280,7 @@ def test_a_diaphragm_under_the_sheet_is_pressed_up(tmp_path):
     text = PRESSED.replace("[tools.die]", '[tools.holder]\nmotion = "fixed"')
     text = text.replace("[diaphragm]", '[diaphragm]\nside = "under"')
     ends = [
-        qf.solve(scene(tmp_path, words, size=20.0), estimate=False) for words in (PRESSED, text)
+        qf.solve(scene(tmp_path, words, size=10.0), estimate=False) for words in (PRESSED, text)
     ]
     assert [end.status for end in ends] == ["completed"] * 2
     forces = [on_fixed_tools(end) for end in ends]
@@ -290,12 +290,12 @@ def test_a_diaphragm_under_the_sheet_is_pressed_up(tmp_path):
 
 
 def test_a_scene_with_a_diaphragm_is_written_back(tmp_path):
-    model = scene(tmp_path, PRESSED, size=20.0)
+    model = scene(tmp_path, PRESSED, size=10.0)
     file = scene_file.load(str(tmp_path / "scene.toml"))
     (tmp_path / "again.toml").write_text(scene_file.scene_toml(file))
     again = scene_file.load(str(tmp_path / "again.toml"))
     assert again.diaphragm == file.diaphragm
-    assert qf.forming(again, size=20.0).description == model.description
+    assert qf.forming(again, size=10.0).description == model.description
 
 
 @pytest.mark.parametrize(
