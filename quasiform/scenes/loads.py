@@ -66,7 +66,7 @@ def pressure_on_sheet(model: Model, file: SceneFile) -> list[Term]:
     face = "lower" if up else "upper"
     model.description.append((f"pressure on the {face} face of the {sheet.name}", shown))
     model.measures["pressure_MPa"] = lambda x: float(x[dof])
-    model.measures["pressure_force_N"] = partial(downward, model.share, term, edge)
+    model.measures["pressure_force_N"] = partial(along_z, model.share, term, edge)
     return [term] if model.fixed[edge.dofs].all() else [term, edge]
 
 
@@ -88,7 +88,8 @@ def sink(model: Model, file: SceneFile, contacts: Sequence[Contact]) -> None:
         x0[sheet.dofs[:, 2]] -= (len(sheets) - k) * sunk
 
 
-def downward(share: float, term: Pressure, edge: PressureAtEdge, x: np.ndarray) -> float:
-    """Downward force of a pressure on the whole sheet, N: p times its area seen from above."""
+def along_z(share: float, term: Pressure, edge: PressureAtEdge, x: np.ndarray) -> float:
+    """Force of a pressure on the whole sheet along z, N: p times its area seen from above."""
     on_nodes = term.gradient(x)[:, 2:9:3].sum()
-    return float(on_nodes + edge.gradient(x, edge.initial(x))[:, 2:6:3].sum()) / share
+    on_nodes += edge.gradient(x, edge.initial(x))[:, 2:6:3].sum()
+    return float(term.sign * on_nodes) / share
