@@ -10,11 +10,11 @@ from quasiform.energy.contact import Contact
 from quasiform.scenes import scene_file
 
 MALE = """
-travel = 50.0
+travel = 10.0
 pressure = 0.02
 [blank]
 shape = "disc"
-radius = 60.0
+radius = 40.0
 [tools.die]
 shape = "round punch"
 radius = 75.0
@@ -67,8 +67,8 @@ def test_a_male_tool_bears_the_pressure_on_the_projected_area(male):
     area = shapely.Polygon(male.positions()[male.blank.outline[0], :2]).area
     assert on_fixed_tools(male) == pytest.approx(0.02 * area, rel=0.01)
     assert male.history["pressure_force_N"][-1] == pytest.approx(0.02 * area, rel=1e-3)
-    assert male.history["pressure_MPa"] == pytest.approx(0.02 * male.history["travel_mm"] / 50.0)
-    assert area < 0.9 * np.pi * 60.0**2  # the sheet lies on the hemisphere
+    assert male.history["pressure_MPa"] == pytest.approx(0.02 * male.history["travel_mm"] / 10.0)
+    assert area < 0.97 * np.pi * 40.0**2  # the sheet lies on the hemisphere
 
 
 def test_a_part_between_mirror_planes_bears_its_share(tmp_path):
@@ -93,7 +93,7 @@ def test_a_part_between_mirror_planes_bears_its_share(tmp_path):
 def test_a_stopped_run_is_continued_as_it_was(male, tmp_path):
     given = {"estimate": False, "out": tmp_path / "out"}
     model = scene(tmp_path, MALE, size=10.0)
-    stopped = qf.solve(model, callback=lambda p: p.travel > 20.0, **given)
+    stopped = qf.solve(model, callback=lambda p: p.travel > 4.0, **given)
     assert stopped.status == "stopped"
     end = qf.solve(model, resume=True, **given)
     assert_array_equal(end.states[-1].x, male.states[-1].x)
