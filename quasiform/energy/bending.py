@@ -33,7 +33,8 @@ NEIGHBOURS = 9  # of the fit on any mesh, at most; five are needed
 class Bending(Term):
     """Bending of warp and weft lines, five nodes a stencil: (centre, warp -, +, weft -, +).
 
-    Lines that end at a `clamped` (n_nodes,) bool node keep their flat direction.
+    Lines that end at a `clamped` (n_nodes,) bool node, or enter a clamped part, keep their flat
+    direction there.
     """
 
     def __init__(self, sheet: Sheet, clamped: np.ndarray | None = None) -> None:
@@ -44,6 +45,7 @@ class Bending(Term):
         constant = np.zeros((n, 4, 3))
         nodes = np.repeat(centre[:, None], 5, axis=1)
         half_lengths = np.zeros((n, 2))
+        held = None if clamped is None else clamped[centre]
         for f, family in enumerate(("warp", "weft")):
             beside, grad = neighbours[f], slope[f]
             present = beside >= 0
@@ -54,7 +56,9 @@ class Bending(Term):
                 slopes[side, :, column] = sign * grad[side][:, None]
                 slopes[side, :, 0] = -slopes[side, :, column]
             length = np.where(present, 1.0 / np.where(present, grad, 1.0), 0.0)
-            half_lengths[:, f] = 0.5 * length.sum(0)
+            rigid = present & False if clamped is None else present & held & clamped[beside]
+            rigid &= (present & ~rigid)[::-1]  # one side of the rim of a clamped part
+            half_lengths[:, f] = 0.5 * np.where(rigid, 0.0, length).sum(0)
             along = np.append(blank.warp if family == "warp" else blank.weft, 0.0)
             known = present.copy()
             for axis, plane in enumerate("xy"):
@@ -70,7 +74,7 @@ class Bending(Term):
                     known[side, at] = True
             if clamped is not None:
                 for side in (0, 1):
-                    at = clamped[centre] & known[1 - side] & ~known[side]
+                    at = held & known[1 - side] & (rigid[side] | ~known[side])
                     slopes[side, at] = 0.0
                     fixed[side, at] = along
                     length[side, at] = 0.0  # the slopes are half a segment apart

@@ -21,7 +21,7 @@ from ..comparison.mapping import beyond_edge, on_surface, spacing
 from ..result.files import replaced
 from ..result.sheet import FormedSheet
 from ..tables import read_table
-from ..tools.mending import normals_of, together
+from ..tools.mending import together
 from .drawing import Drawing, write_csv, write_dxf, write_svg
 from .fibres import ASIDE, limits_of, read_formed
 from .keywords import NOTICES, write_notices

@@ -37,13 +37,14 @@ from ..recipe import checksums
 from ..schema import LARGEST, OPEN, Table, checked, number, path, vector
 from ..toml_file import read_toml, toml_text, without_format
 from ..tools.part import SHAPES, Form, ToolPart
-from ..tools.shapes import FAR
+from ..tools.shapes import FAR, Rows
 from ..tools.surface_file import SurfaceFile
 from .overrides import merged, overridden
 from .scene_parts import (
     MOTIONS,
     OUTWARDS,
     REGION,
+    ElasticSheet,
     Gripper,
     Ply,
     Region,
@@ -59,7 +60,7 @@ __all__ = [
 ]
 _PACKAGED = Path(__file__).parents[1] / "geometries"
 FOLDER = _PACKAGED if _PACKAGED.is_dir() else Path(__file__).parents[2] / "geometries"
-OF_A_TOOL = ("friction", "mass", "force", "z", "place", "tilt")
+OF_A_TOOL = ("friction", "mass", "force", "z", "place", "tilt", "stroke")
 OF_A_FILE = ("scale", "flip", "rotate", "origin", "spacing", "offset")
 MOST_ROWS = 10_000
 LENGTHS = {  # of the shapes, mm
@@ -260,6 +261,25 @@ def _ply(number: int, table: _Ply, law: str | Fabric, folder: Path) -> Ply:
     return Ply(law=own, **{key: getattr(table, key) for key in keys})
 
 
+class _Diaphragm(Table):
+    modulus: number("Young's modulus", "MPa")
+    thickness: number("Thickness without stress", "mm")
+    poisson: number("Poisson's ratio", "1", most=0.5) = 0.5
+    prestretch: number("Stretch of its flat outline", "1", most=10.0) = 1.0
+    side: _word("On which side of the plies", "above", "under") = "above"
+    clamped: _flag("Whether its edge is clamped") = True
+    friction: number("Coulomb coefficient with the plies", "1", zero=True) = OPEN
+    blank: _union(_Outline, REGION, LARGEST, _region) = OPEN
+
+
+def _diaphragm(table: _Diaphragm) -> ElasticSheet:
+    if table.prestretch < 1.0:
+        raise InputError(f"prestretch must be at least 1, got {table.prestretch:g}")
+    if table.prestretch > 1.0 and not table.clamped:
+        raise InputError("prestretch needs clamped = true")
+    return ElasticSheet(**{key: getattr(table, key) for key in _Diaphragm.model_fields})
+
+
 # Tools
 
 
@@ -269,6 +289,9 @@ class _Tool(Table):
     friction: number("Coulomb coefficient; the fabric's if left out", "1", zero=True) = OPEN
     mass: number("Mass that rests on the sheet", "kg", zero=True) = 0.0
     force: number("Force on the sheet beside the weight", "N", zero=True, over="mm") = 0.0
+    stroke: number("Way down over the travel, of a driven tool", "mm", signed=True, over="mm") = (
+        OPEN
+    )
     z: number("Height; where it touches the sheet if left out", "mm", signed=True) = OPEN
     place: PLACE = (0.0, 0.0)
     tilt: _flag("Whether a free tool may tilt") = OPEN
@@ -300,6 +323,10 @@ def _part(table: _Tool) -> ToolPart:
         raise InputError("a free tool needs a mass or a force, over the whole travel")
     if motion != "free" and table.model_fields_set & {"mass", "force", "tilt"}:
         raise InputError("mass, force and tilt belong to a tool with motion = 'free'")
+    if part.stroke is not None and motion != "driven":
+        raise InputError("stroke belongs to a tool with motion = 'driven'")
+    if isinstance(part.stroke, tuple) and part.stroke[0][1]:
+        raise InputError(f"stroke must start at 0 mm, got {part.stroke[0][1]:g}")
     return part
 
 
@@ -408,16 +435,18 @@ class Scene(Table):
     """
 
     name: StrictStr = OPEN
-    travel: number("Travel of the driven tools from first touch", "mm")
+    travel: number("Travel of the driven tools from first touch, or path of a pressure", "mm")
     law: checked(_law, type="string", description="Preset, or path of a material file") = "locking"
     fabric: Annotated[dict[str, Any], Field(description="Keys that replace those of `law`")] = OPEN
     gravity: _flag("Whether the sheet's own weight acts") = False
+    pressure: number("On the upper face; a number rises from 0", "MPa", zero=True, over="mm") = OPEN
     symmetry: _word("Whether mirror planes are used", "auto", "half", "none") = "auto"
     blank: _union(_Blank, REGION, LARGEST, _blank, _OWN_MESH)
     tools: dict[str, _union(_Tool, SHAPES, FAR_OFF, _part, _FROM_FILE)]
     supports: list[Annotated[_Support, AfterValidator(_support)]] = []  # noqa: RUF012
     grippers: list[Annotated[_Gripper, AfterValidator(_gripper)]] = []  # noqa: RUF012
     plies: Annotated[list[_Ply], Field(description="Layers, from the punch down")] = []  # noqa: RUF012
+    diaphragm: Annotated[_Diaphragm, AfterValidator(_diaphragm)] = OPEN
     areas: dict[str, _Area] = {}  # noqa: RUF012
     increments: _Increments = _Increments()
     outputs: _Outputs = _Outputs()
@@ -427,8 +456,10 @@ class Scene(Table):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         check_increments(self.travel, **self.increments.model_dump())
-        if not any(tool.motion == "driven" for tool in self.tools.values()):
-            raise InputError("no tool is driven: one of [tools] needs role = 'punch'")
+        driven = any(tool.motion == "driven" for tool in self.tools.values())
+        if not driven and (self.pressure is None or not self.tools):
+            words = "one of [tools] needs role = 'punch', or the scene a tool and a pressure"
+            raise InputError(f"no tool is driven: {words}")
         return self
 
 
@@ -442,8 +473,6 @@ def check_increments(travel: float, **increments: float | None) -> None:
 
 NOT_POSSIBLE = {  # keys that people try: what is possible instead
     "layers": "layers are given as [[plies]], from the punch down",
-    "pressure": "a pressure on the sheet is not modelled; a holder's force is",
-    "diaphragm": "diaphragms are not modelled",
     "temperature": "the fabric is dry and cold: no matrix, no temperature",
 }
 
@@ -471,20 +500,25 @@ def _scene(table: dict[str, Any], folder: Path, stem: str) -> SceneFile:
     file = SceneFile(
         name=stem if scene.name is None else scene.name,
         tools=tuple(
-            replace(part, name="blank holder" if name == "holder" else name)
+            replace(
+                part,
+                name="blank holder" if name == "holder" else name,
+                stroke=over_travel(part.stroke, scene.travel),
+            )
             for name, part in scene.tools.items()
         ),
         law=law,
         supports=tuple(scene.supports),
         grippers=tuple(scene.grippers),
         plies=tuple(_ply(k, ply, law, folder) for k, ply in enumerate(scene.plies, 1)),
+        diaphragm=scene.diaphragm,
         areas={name: (area.centre, area.radius) for name, area in scene.areas.items()},
         increment=scene.increments.largest,
         rows=scene.increments.rows,
         outputs=scene.outputs.model_dump(),
         run={} if scene.run is None else _without_none(scene.run.model_dump()),
         standings=schema.standings(table),
-        **scene.model_dump(include={"travel", "gravity", "symmetry"}),
+        **scene.model_dump(include={"travel", "gravity", "symmetry", "pressure"}),
         **scene.blank,
     )
     for name, digest in (checksums(file.files()) if scene.files else {}).items():
@@ -492,6 +526,11 @@ def _scene(table: dict[str, Any], folder: Path, stem: str) -> SceneFile:
             words = "has changed since this scene was written; remove [files] to use it as it is"
             raise InputError(f"{name} {words}")
     return file
+
+
+def over_travel(value: float | Rows | None, travel: float) -> Rows | None:
+    """Rows over the travel of a value, which rises from zero to the end where it is a number."""
+    return ((0.0, 0.0), (travel, value)) if isinstance(value, float) else value
 
 
 def _fabric(table: dict[str, Any], law: str | Fabric, where: str = "[fabric]") -> Fabric:
@@ -576,7 +615,7 @@ def scene_toml(file: SceneFile) -> str:
     blank = _region_table(file.blank) if file.blank else {"mesh_scale": file.mesh_scale}
     blank |= {"orientation": file.orientation, "size": file.size, "mesh": file.mesh}
     tools = {"holder" if t.name == "blank holder" else t.name: _tool_table(t) for t in file.tools}
-    settings = ("name", "travel", "law", "gravity", "symmetry")
+    settings = ("name", "travel", "law", "gravity", "pressure", "symmetry")
     given = {"largest": file.increment, "rows": file.rows}
     table = {key: getattr(file, key) for key in settings} | {
         "blank": blank,
@@ -584,6 +623,7 @@ def scene_toml(file: SceneFile) -> str:
         "supports": [_edge_table(support) for support in file.supports],
         "grippers": [_edge_table(gripper) for gripper in file.grippers],
         **({"plies": [_ply_table(ply) for ply in file.plies]} if file.plies else {}),
+        **({"diaphragm": _outlined(file.diaphragm)} if file.diaphragm else {}),
         "areas": {name: {"centre": c, "radius": r} for name, (c, r) in file.areas.items()},
         **({"increments": given} if any(given.values()) else {}),
         "outputs": dict(file.outputs),
@@ -614,9 +654,13 @@ def _slit_table(slit: Slit) -> dict[str, Any]:
     return {key: getattr(slit, key) for key in ("file", "scale", "layer", "centre")}
 
 
+def _outlined(part: Ply | ElasticSheet) -> dict[str, Any]:
+    own = {"blank": _region_table(part.blank)} if part.blank else {}
+    return {key: value for key, value in vars(part).items() if key != "blank"} | own
+
+
 def _ply_table(ply: Ply) -> dict[str, Any]:
-    table: dict[str, Any] = {k: v for k, v in vars(ply).items() if k not in ("law", "blank")}
-    table |= {"blank": _region_table(ply.blank)} if ply.blank else {}
+    table = {key: value for key, value in _outlined(ply).items() if key != "law"}
     if isinstance(ply.law, Fabric):
         return table | {"fabric": ply.law.written()}
     return table | {"law": Path(ply.law) if ply.law and ply.law.endswith(".toml") else ply.law}
@@ -631,7 +675,8 @@ def _tool_table(part: ToolPart) -> dict[str, Any]:
         table = {"file": geometry.path} | {key: getattr(geometry, key) for key in OF_A_FILE}
     else:
         raise InputError(f"{part.name}: a shape of your own cannot be written to a file")
-    keys = [k for k in OF_A_TOOL if part.motion == "free" or k not in ("mass", "force", "tilt")]
+    others = ("stroke",) if part.motion == "free" else ("mass", "force", "tilt")
+    keys = [key for key in OF_A_TOOL if key not in others]
     table |= {"role": part.role, "motion": part.motion}
     return table | {key: getattr(part, key) for key in keys}
 

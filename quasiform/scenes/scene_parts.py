@@ -16,6 +16,7 @@ from ..fabric import Fabric
 from ..net import outline as outlines
 from ..net.slits import check_slits
 from ..tools.part import ToolPart
+from ..tools.shapes import Rows
 
 Point = tuple[float, float]
 REGION: dict[str, tuple[Callable[..., shapely.Polygon], tuple[str, ...]]] = {
@@ -164,12 +165,26 @@ class Ply:
 
 
 @dataclass(frozen=True)
+class ElasticSheet:
+    """A diaphragm, which lies over the plies or under them."""
+
+    modulus: float  # Young's modulus, MPa
+    thickness: float  # without stress, mm
+    poisson: float = 0.5
+    prestretch: float = 1.0  # of its flat outline
+    side: str = "above"
+    clamped: bool = True  # whether its edge is
+    friction: float | None = None  # Coulomb coefficient with the plies
+    blank: Region | None = None  # its outline; None: that of the plies, enlarged
+
+
+@dataclass(frozen=True)
 class SceneFile:
     """A forming scene as it is written down."""
 
     name: str
     blank: Region | None  # the flat sheet; None where the user's own mesh brings its outline
-    travel: float  # of the driven tools, from first touch, mm
+    travel: float  # of the driven tools, from first touch, mm; without them a path of the loads
     tools: tuple[ToolPart, ...]
     orientation: float = 0.0  # angle of the warp to x, degrees
     size: float | None = None  # spacing of the fibre lines, mm
@@ -177,9 +192,11 @@ class SceneFile:
     mesh_scale: float = 1.0  # mm
     law: str | Fabric = "locking"  # a preset, the path of a material file, or the fabric itself
     gravity: bool = False  # whether the sheet's own weight acts
+    pressure: float | Rows | None = None  # on the upper face, MPa; rows: over the travel, mm
     supports: tuple[Support, ...] = ()
     grippers: tuple[Gripper, ...] = ()
     plies: tuple[Ply, ...] = ()  # from the punch down; none: one sheet
+    diaphragm: ElasticSheet | None = None
     areas: Mapping[str, tuple[Point, float]] = field(default_factory=dict, hash=False)  # discs, mm
     symmetry: str = "auto"  # or "none"
     increment: float | None = None  # largest increment of the travel, mm; None: `usual_length`
@@ -196,6 +213,27 @@ class SceneFile:
             object.__setattr__(self, name, tuple(getattr(self, name)))
 
     @property
+    def driven(self) -> bool:
+        """Whether a tool is driven."""
+        return any(tool.motion == "driven" for tool in self.tools)
+
+    @property
+    def pressures(self) -> np.ndarray:
+        """(n, 2) travel, mm, and pressure, MPa; a constant one rises from zero to the end."""
+        p = self.pressure
+        return np.array(p if isinstance(p, tuple) else [(0.0, 0.0), (self.travel, p or 0.0)])
+
+    def heights(self, outline: shapely.Polygon, travel: float) -> tuple[float, float]:
+        """Between which heights the sheet may be, mm, by its tools, or half of the blank down."""
+        strokes = [part.stroke for part in self.tools if part.motion == "driven"]
+        ends = [0.0, *(-mm for rows in strokes for _, mm in rows or ((0.0, travel),))]
+        if not strokes:
+            ends.append(
+                -max(travel, 0.5 * float(np.ptp(np.reshape(outline.bounds, (2, 2)), 0).max()))
+            )
+        return min(ends), max(ends)
+
+    @property
     def outline(self) -> shapely.Polygon:
         """The flat blank with its holes, mm; empty where the mesh is the user's own."""
         return self.blank.polygon if self.blank else shapely.Polygon()
@@ -208,7 +246,7 @@ class SceneFile:
     def files(self) -> list[Path]:
         """All files that the scene names: meshes, outlines and surfaces of tools."""
         named: list[Any] = [self.mesh, *(tool.geometry for tool in self.tools)]
-        for blank in (self.blank, *(ply.blank for ply in self.plies)):
+        for blank in (self.blank, *(part.blank for part in (*self.plies, self.diaphragm) if part)):
             named += blank.files() if blank else ()
         named = [getattr(part, "path", part) for part in named]
         return [part for part in named if isinstance(part, Path)]

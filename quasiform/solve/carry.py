@@ -50,6 +50,8 @@ def carry(source: Result, model: Model, settings: Settings, saddles: bool = True
         if end > row.travel:
             x = x - step / (end - row.travel) * (x - before)
         equations.travel = end - step
+        if model.strokes:
+            equations.peak = max(abs(state.force) for state in path.states) * model.share
         x = np.where(model.fixed, model.prescribed(end - step)[0], x)
         run.memory = carried(source, model, last, x, before)
         equations.take(run.memory)
