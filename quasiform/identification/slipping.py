@@ -170,6 +170,7 @@ class SlippingSheet(Sheet):
         resistance = self.model.slip
         resistance.K, resistance.tau = law.slip.stiffness, min(law.slip.resistance, ENDLESS)
         self.width.H = law.slip.coupling * self.unit
+        self.width.changed()
         return super().states(law.shear)
 
     def _slopes(
