@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..energy.friction import Friction
+from ..energy.slip import SlipResistance
 from ..energy.term import Term, check_term
 from ..model import Model
 from ..potential import Memory, Potential
@@ -59,6 +60,13 @@ class Equilibrium:
     @property
     def remembers(self) -> bool:
         return any(state is not None for state in self.memory)
+
+    @property
+    def turns(self) -> bool:
+        """Whether permanent slip, which turns smoothly with the fibres, is all that is lagged."""
+        states = zip(self.model.terms, self.memory, strict=False)
+        slid = any(isinstance(t, SlipResistance) and s.lost.any() for t, s in states)
+        return slid and not (self.model.contacts or self.model.ply_contacts)
 
     @property
     def loaded(self) -> bool:

@@ -71,7 +71,7 @@ def minimise(
         if stress is not None:
             tangent.forget()  # no tangent of this state
         stress = _foresee(equations, before, x)
-        if stress is None and np.array_equal(x, before + d):
+        if (stress is None or equations.turns) and np.array_equal(x, before + d):
             x, energy = _further(equations, x, energy, tolerance)
         energies = [*energies[-7:], energy]
         equations.check_slide(x)
@@ -155,6 +155,8 @@ def settle(equations: Equilibrium, x: FloatArray) -> FloatArray:
     for i in range(passes):
         used.append(equations.lagged())
         with equations.tangent.counted_as("friction" if i else "balance"):
+            if i and equations.turns:
+                x, _ = _further(equations, x, equations.energy(x), inner)
             x = minimise(equations, x, inner)
         if not equations.remembers:
             return x

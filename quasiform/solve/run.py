@@ -212,6 +212,8 @@ class Run:
         try:
             with equations.tangent.counted_as("prediction"):
                 x = predict(equations, x, target)
+            if equations.turns:
+                equations.refresh(x)
             return self._solve(self._shaken(x))
         except SlidesOffError as error:
             failed, rungs = error, [("friction stuck first", stuck_first)]
