@@ -286,7 +286,7 @@ def test_a_diaphragm_under_the_sheet_is_pressed_up(flat, tmp_path):
     ends = [flat, qf.solve(scene(tmp_path, text, size=10.0), estimate=False)]
     assert ends[1].status == "completed"
     forces = [on_fixed_tools(end) for end in ends]
-    assert forces[0] == pytest.approx(-forces[1], rel=1e-6)
+    assert forces[0] == pytest.approx(-forces[1], rel=1e-4)  # the residual
     z = [end.model.sheets[1].positions(end.states[-1].x)[:, 2] for end in ends]
     assert 2.004 - z[1] == pytest.approx(z[0], abs=0.02)  # of a thickness of 1 mm
 
