@@ -256,6 +256,10 @@ def membrane_stiffness(g, f, S, W, out, values, slots):
         _membrane(g, f, S, W, out, values, slots, 3, 3)
     elif k == 3 and dim == 2:
         _membrane(g, f, S, W, out, values, slots, 3, 2)
+    elif k == 6 and dim == 3:
+        _membrane(g, f, S, W, out, values, slots, 6, 3)
+    elif k == 6 and dim == 2:
+        _membrane(g, f, S, W, out, values, slots, 6, 2)
     else:
         _membrane(g, f, S, W, out, values, slots, k, dim)
 

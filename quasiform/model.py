@@ -10,9 +10,11 @@ import numpy as np
 
 from .checks import force_column
 from .energy.contact import Contact, surrounds
+from .energy.diaphragm import Diaphragm
 from .energy.friction import Friction
 from .energy.membrane import Membrane
-from .energy.plies import PlyContact
+from .energy.plies import PlyContact, folds_on_itself
+from .energy.pressure import Pressure
 from .energy.slip import SlipResistance
 from .energy.term import Term
 from .fingerprint import fingerprint
@@ -21,6 +23,7 @@ from .unknowns import Field, FloatArray, Sheet, Unknowns
 
 COLLAPSE = np.radians(85.0)
 MOST_TILT = 10.0  # degrees
+DIAPHRAGM = "diaphragm"  # name of the sheet that is none of the fabric
 
 
 @dataclass(repr=False)
@@ -55,7 +58,10 @@ class Model:
         Load that keeps the model together (holder weight of the modelled share), N: residuals are
         relative to 2 % of it while the driving force is smaller.
     loads : dict of number in x to (n, 2) array
-        Prescribed loads, N, over the travel, mm: rows, linear in between, constant beyond.
+        Prescribed loads, N, or pressures, MPa, over the travel, mm: rows, linear in between,
+        constant beyond.
+    strokes : dict of number in x to (n, 2) array
+        Motion along `drive` over the travel, mm, of driven tools that do not just follow it.
     dead_load : float
         Whole load, N, to which residuals are relative where the travel is its factor.
     description : list of (entry, reason)
@@ -97,6 +103,7 @@ class Model:
     share: float = 1.0
     resting: float = 0.0
     loads: dict[int, FloatArray] = field(default_factory=dict)
+    strokes: dict[int, FloatArray] = field(default_factory=dict)
     dead_load: float = 0.0
     description: list[tuple[str, str]] = field(default_factory=list)
     parameters: dict[str, Any] = field(default_factory=dict)
@@ -120,16 +127,16 @@ class Model:
 
     @property
     def sheet(self) -> Sheet:
-        """The only sheet; of a stack of plies the first, under the punch."""
+        """The only sheet; of a stack of plies the first, from above."""
         return self.sheets[0]
 
     @property
     def plies(self) -> list[Model]:
-        """The model seen with one of its sheets each; itself where it has one only."""
+        """The model seen with one of its plies each; itself where it has one sheet only."""
         if len(self.sheets) == 1:
             return [self]
         views = []
-        for sheet in self.sheets:
+        for sheet in (sheet for sheet in self.sheets if sheet.name != DIAPHRAGM):
             terms = [term for term in self.terms if getattr(term, "sheet", sheet) is sheet]
             edges = edge_points(sheet.whole[0])
             views.append(replace(self, sheets=[sheet], terms=terms, edges=edges, measures={}))
@@ -176,6 +183,11 @@ class Model:
         found = self.ply_contacts if len(self.sheets) > 1 else []
         return list(zip(found[::2], found[1::2], strict=True))
 
+    @property
+    def pressures(self) -> list[Pressure]:
+        """The pressure terms."""
+        return [term for term in self.terms if isinstance(term, Pressure)]
+
     def add(self, name: str, components: int, sheet: Sheet | None = None, **given: Any) -> Field:
         """Append a field, free and zero at the start, at the nodes of a sheet or without places."""
         if sheet is not None:
@@ -211,11 +223,24 @@ class Model:
         x, rate = drive(travel) if callable(drive) else (self.x0 + travel * drive, drive)
         for dof, rows in self.loads.items():
             x[dof] = np.interp(travel, *rows.T)
+        for dof, rows in self.strokes.items():
+            x[dof] = self.x0[dof] + rate[dof] * np.interp(travel, *rows.T)
         return x, rate
+
+    def next_stage(self, travel: float) -> float:
+        """Travel at which loads or tools next change their rate, or the end."""
+        rows = [*self.loads.values(), *self.strokes.values(), np.array([[self.travel, 0.0]])]
+        ends = np.concatenate(rows)[:, 0]
+        return float(ends[ends > travel * (1 + 1e-12)].min(initial=self.travel))
+
+    def pressed(self, travel: float) -> float:
+        """Force of the pressures on the flat sheet at a travel, N."""
+        x = self.prescribed(travel)[0] if self.pressures else self.x0
+        return float(sum(term.area * x[term.dof] for term in self.pressures))
 
     def collapsed(self, x: FloatArray, travel: float) -> dict[str, Any] | None:
         """Where triangles are sheared beyond 85 degrees or turned over at a travel, mm, or None."""
-        for membrane in self.membranes:
+        for membrane in (m for m in self.membranes if not isinstance(m, Diaphragm)):
             sheet, gamma = membrane.sheet, np.abs(membrane.shear_angle(x))
             bad = gamma > COLLAPSE
             if sheet.dim == 2:
@@ -231,7 +256,7 @@ class Model:
         return None
 
     def lost(self, x: FloatArray) -> str:
-        """Why a free tool no longer rests safely on the sheet; empty if it does."""
+        """Why a free tool or a pressure finds no sound sheet any more; empty if it does."""
         tilting = {c.tool.name: c for c in self.contacts if c.tool.tilts}
         for name, contact in tilting.items():
             tilt = np.degrees(np.abs(x[contact.tool_dofs[1:]]).max() / contact.lever)
@@ -239,6 +264,9 @@ class Model:
                 return f"the {name} tilts by more than {MOST_TILT:g} degrees"
             if not any(surrounds(c, x) for c in self.contacts if c.tool.name == name):
                 return f"the sheet no longer surrounds the weight of the {name}"
+        for sheet in self.sheets if self.pressures else ():  # which presses folds together
+            if folds_on_itself(sheet, x):
+                return f"the {sheet.name} folds on itself, and self-contact is not modelled"
         return ""
 
     def turned_over(self, x: FloatArray, trial: FloatArray) -> bool:

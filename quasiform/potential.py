@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import comb
 from typing import Any
 
 import numpy as np
 from scipy.sparse import csr_array
 
-from .energy.term import Term, check_state, frozen, same
+from .energy.term import Quadratic, Term, check_state, frozen, same
 from .unknowns import FloatArray, IntArray
 
 Memory = tuple[Any, ...]  # the states of all terms, in their order; owned by a run
@@ -53,18 +54,24 @@ class Potential:
     def _lay_out(self, tables: list[IntArray]) -> None:
         """Find the places of all stencils in the pattern, which grows where it lacks one.
 
-        Stencils that stay keep their places; a pattern that has grown has moved them.
+        Rows of tables that stay keep their places; a pattern that has grown has moved them.
         """
-        n = self._n
-        known = {id(share.dofs): share for share in self._shares}
-        # friction has the table of its contact
-        pairs = {id(dofs): self._pairs(dofs) for dofs in tables if id(dofs) not in known}
-        wanted = [key.ravel() for key, _ in pairs.values()]
+        n, slots, changed = self._n, {id(s.dofs): s.slots for s in self._shares}, {}
+        for i, dofs in enumerate(tables):
+            if id(dofs) in slots:  # friction has the table of its contact
+                continue
+            rows, old = np.arange(len(dofs)), self._shares[i] if self._shares else None
+            if old is not None and old.dofs.shape == dofs.shape:
+                rows, slots[id(dofs)] = np.flatnonzero((dofs != old.dofs).any(1)), old.slots
+            else:
+                slots[id(dofs)] = np.zeros((len(dofs), comb(dofs.shape[1] + 1, 2)), np.int32)
+            changed[id(dofs)] = rows, *self._pairs(dofs[rows])
+        wanted = [key[key >= 0] for _, key, _ in changed.values()]
         own = np.empty(0, dtype=np.int64) if self._shares else np.arange(n) * (n + 1)
-        wanted = np.unique(np.concatenate([*(key[key >= 0] for key in wanted), own]))
+        wanted = np.sort(np.concatenate([*wanted, own]))  # faster than `unique`, which hashes
+        wanted = wanted[np.diff(wanted, prepend=-1) > 0]
         places = np.searchsorted(self._keys, wanted)
         missing = wanted[~_holds(self._keys, wanted, places)]
-        slots = {of: share.slots for of, share in known.items()}
         if len(missing) or not self._shares:
             keys = np.union1d(self._keys, missing)
             moved = np.append(np.searchsorted(keys, self._keys), len(keys)).astype(np.int32)
@@ -75,7 +82,9 @@ class Potential:
             indptr = np.searchsorted(keys, np.arange(n + 1) * n)
             self._keys, self._constant = keys, constant
             self.pattern = csr_array((np.zeros(len(keys)), keys % n, indptr), shape=(n, n))
-        slots |= {of: self._slots(*pair) for of, pair in pairs.items()}
+        for of, (rows, *pair) in changed.items():
+            slots[of] = slots[of].copy()
+            slots[of][rows] = self._slots(*pair)
         first = not self._shares
         self._shares = [_Share(dofs, slots[id(dofs)]) for dofs in tables]
         if not first:
@@ -168,7 +177,9 @@ class Potential:
             return values[:-1], np.zeros(self._n)
         load = np.zeros(len(x))
         for term, state, share in zip(self.terms, memory, self._shares, strict=True):
-            if (moved := motion[share.dofs]).any():
+            if isinstance(term, Quadratic):
+                load += term.product(motion)
+            elif (moved := motion[share.dofs]).any():
                 foreseen = {"stress": stress} if term.foresees else {}
                 H = term.hessian(x, state, convex, **foreseen)
                 push = (H @ moved[:, :, None])[:, :, 0]

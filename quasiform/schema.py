@@ -71,11 +71,14 @@ def _one_line(error: ErrorDetails, table: Any) -> str:
     """What pydantic found wrong, as one line for the user."""
     kind, got, context = error["type"], error["input"], error.get("ctx", {})
     path, here = [], table
-    for part in error["loc"]:
+    for k, part in enumerate(error["loc"], 1):
         try:
-            here = here[part]
+            inner = here[part]
         except (KeyError, IndexError, TypeError):
             continue  # pydantic's name for the member of a union
+        if k < len(error["loc"]) and not isinstance(inner, Mapping | list):
+            continue  # such a name that is also a key
+        here = inner
         path.append(part)
     if kind == "missing":
         path.append(error["loc"][-1])

@@ -458,7 +458,9 @@ NOTCHED = {"blank": BASES[0]["blank"] | {"holes": [NOTCH]}, "outputs": {"picture
 NOTCHED["grippers"] = [{"box": [60.0, -80.0, 80.0, 80.0], "tension": 5.0}]
 ROWS = {"force": [[0.0, 10.0], [5.0, 50.0], [8.0, 5.0]]}
 NOTCHED["tools"] = BASES[0]["tools"] | {"holder": BASES[0]["tools"]["holder"] | ROWS}
-SCENES = [*BASES, *BUILT_IN, BASES[0] | HELD, BASES[0] | NOTCHED]
+PRESSED = {"pressure": [[0.0, 0.001], [5.0, 0.002]], "outputs": {"pictures": False}}
+PRESSED["tools"] = {name: BASES[0]["tools"][name] for name in ("die", "holder")}
+SCENES = [*BASES, *BUILT_IN, *(BASES[0] | more for more in (HELD, NOTCHED, PRESSED))]
 JSON_SCHEMA = jsonschema.Draft202012Validator(json_schema())
 
 

@@ -25,9 +25,11 @@ from quasiform.energy.contact import (
     share,
     surrounds,
 )
+from quasiform.energy.diaphragm import Diaphragm
 from quasiform.energy.friction import STICK, Friction
 from quasiform.energy.gripper import Grip
 from quasiform.energy.membrane import Membrane, PairedMembrane
+from quasiform.energy.pressure import Pressure, PressureAtEdge, free_edges
 from quasiform.energy.slip import SlipBending, SlippingMembrane, SlipResistance, SlipWidth
 from quasiform.energy.softening import Softening
 from quasiform.energy.term import Term, compiled
@@ -212,6 +214,11 @@ def membrane(blank, dim, fabric=FABRIC):
     return Case(Membrane(sheet_of(blank, fabric, dim)), deformed(blank, dim))
 
 
+def diaphragm(blank="aligned", *given):
+    blank = BLANKS[blank]
+    return Case(Diaphragm(sheet_of(blank), 1.2, *given), deformed(blank))
+
+
 def slipping(kind, blank, dim):
     """Slip of about 0.5 mm, so that some nodes slide; permanent slip that is neither zero."""
     blank, unknowns = BLANKS[blank], Unknowns()
@@ -312,6 +319,17 @@ def sheet_weight():
     return Case(term, np.append(deformed(blank), 0.7), prescribed=1)
 
 
+def pressure(blank="cut", edge=False, p=0.3):
+    """With a free edge that has moved since its last refresh."""
+    blank = BLANKS[blank]
+    term = Pressure(sheet_of(blank), 3 * len(blank.nodes), 2.0)
+    x = np.append(deformed(blank), p)
+    if not edge:
+        return Case(term, x, prescribed=1)
+    term = PressureAtEdge(term)
+    return Case(term, x, prescribed=1, state=term.initial(np.append(deformed(blank, seed=1), p)))
+
+
 def tool_weight():
     return Case(ToolWeight(2.5, 1), np.array([0.0, 12.0]))
 
@@ -328,6 +346,8 @@ FREE = {
     "membrane in space, cut": lambda: membrane("cut", 3),
     "paired membrane in the plane": lambda: paired_membrane(2),
     "paired membrane in space": lambda: paired_membrane(3),
+    "diaphragm": lambda: diaphragm(),
+    "diaphragm, cut, compressible, stretched": lambda: diaphragm("cut", 0.4, 1.3),
     "patch bending": patch_bending,
     "bending": lambda: bending("aligned"),
     "bending, cut": lambda: bending("cut"),
@@ -366,6 +386,8 @@ HELD = {
     "weight of the sheet": sheet_weight,
     "force on a tool": tool_force,
     "weight of a tool": tool_weight,
+    "pressure": pressure,
+    "pressure at the edge": lambda: pressure(edge=True),
     "gripper": gripper,
 }
 CASES = {**FREE, **ON_TOOLS, **HELD}
@@ -787,6 +809,35 @@ def test_membrane_energy_of_a_homogeneous_deformation():
     S11, S22 = 2 * FABRIC.warp.stress(1.02**2, 1.0), 2 * FABRIC.weft.stress(0.98**2, 1.0)
     S = [[S11, S12], [S12, S22]]
     assert_allclose(term.stress(x), np.broadcast_to(S, (len(blank.triangles), 2, 2)))
+
+
+@pytest.mark.parametrize("poisson", [0.5, 0.3])
+def test_diaphragm_is_linear_elastic_in_plane_stress_at_small_strains(poisson):
+    blank, h = BLANKS["cut"], 1e-4
+    term = Diaphragm(sheet_of(blank), 1.2, poisson)
+
+    def energy(F):
+        x = np.pad(blank.nodes @ np.asarray(F).T, ((0, 0), (0, 1))).ravel()
+        return term.energy(x).sum() / term.volume.sum()
+
+    C = 1.2 / (1 - poisson**2)
+    assert energy(np.diag([1 + h, 1.0])) == pytest.approx(0.5 * C * h**2, rel=1e-3)
+    assert energy(np.diag([1 + h, 1 - poisson * h])) == pytest.approx(0.6 * h**2, rel=1e-3)
+    shear = 0.5 * 1.2 / (2 * (1 + poisson)) * h**2
+    assert energy([[1.0, h], [0.0, 1.0]]) == pytest.approx(shear, rel=1e-3)
+
+
+def test_diaphragm_is_neo_hookean_at_large_stretches():
+    """Nominal stress under equal biaxial stretch, E/3 (λ - λ⁻⁵); and what a prestretch is."""
+    blank, stretch, h = BLANKS["cut"], 2.0, 1e-5
+    term, sheet = Diaphragm(sheet_of(blank), 1.2), np.pad(blank.nodes, ((0, 0), (0, 1)))
+    ends = [term.energy((s * sheet).ravel()).sum() for s in (stretch - h, stretch + h)]
+    nominal = np.diff(ends)[0] / (2 * h) / term.volume.sum() / 2
+    assert nominal == pytest.approx(0.4 * (stretch - stretch**-5), rel=1e-6)
+    larger = replace(blank, nodes=stretch * blank.nodes)
+    term = Diaphragm(sheet_of(larger), 1.2, 0.5, stretch)
+    start = np.pad(larger.nodes, ((0, 0), (0, 1))).ravel()
+    assert term.energy(start).sum() == pytest.approx(np.mean(ends), rel=1e-6)
 
 
 def test_normals_follow_the_sheet_and_turn_with_a_flip():
@@ -1427,6 +1478,50 @@ def test_work_against_friction_is_stored_or_dissipated(name):
 
 
 # Weight
+
+
+@pytest.mark.parametrize("blank", ["cut", "quarter"])
+def test_pressure_is_a_force_along_the_normal_of_each_triangle(blank):
+    """Also at a free edge, and of a part in its mirror planes as of the whole."""
+    case, edge = pressure(blank), pressure(blank, edge=True)
+    blank, x, force = BLANKS[blank], case.x, np.zeros(len(case.x))
+    for axis, plane in enumerate("xy"):  # which the mirror planes keep in place
+        if plane in blank.mirror:
+            x[axis:-1:3][np.abs(blank.nodes[:, axis]) < 1e-9] = 0.0
+    case.term.add_gradient(force, x, None)
+    edge.term.add_gradient(force, x, edge.term.initial(x))
+    exact, corners = np.zeros((len(blank.nodes), 3)), x[:-1].reshape(-1, 3)[blank.triangles]
+    area = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    for k in range(3):
+        np.add.at(exact, blank.triangles[:, k], 0.3 * area / 3)
+    found, free = force[:-1].reshape(-1, 3), np.ones((len(blank.nodes), 3), dtype=bool)
+    for axis, plane in enumerate("xy"):
+        if plane in blank.mirror:
+            free[np.abs(blank.nodes[:, axis]) < 1e-9, axis] = False
+    assert len(free_edges(blank)) > 8
+    assert_allclose(found[free], exact[free], atol=1e-12 * np.abs(exact).max())
+
+
+def test_work_of_a_pressure_at_a_free_edge_is_counted():
+    """A flat sheet that is lifted, turned by 90 degrees and moved along: p A for each mm."""
+    case = pressure("aligned", edge=True, p=0.3)
+    whole, blank = pressure("aligned").term, BLANKS["aligned"]
+    start = np.append(flat(blank), 0.3)
+    R = Rotation.from_euler("y", 90.0, degrees=True).as_matrix()
+    before = case.term.initial(start)
+    stored, lost = whole.total(start, None) + case.term.total(start, before), 0.0
+    for s in np.linspace(0.0, 1.0, 33)[1:]:
+        R = Rotation.from_euler("y", 90.0 * s, degrees=True).as_matrix()
+        moved = flat(blank).reshape(-1, 3) @ R.T + [40.0 * s**2, 0.0, 10.0 * s]
+        x = np.append(moved.ravel(), 0.3)
+        after = case.term.commit(x, before)
+        lost += case.term.dissipated(before, after, x)
+        before = after
+    stored = whole.total(x, None) + case.term.total(x, before) - stored
+    turn = np.linspace(0.0, 1.0, 100001)
+    path = np.sin(np.pi / 2 * turn) * 80.0 * turn + np.cos(np.pi / 2 * turn) * 10.0
+    work = 0.3 * whole.area * np.trapezoid(path, turn)  # n·dx of the middle
+    assert stored + lost == pytest.approx(work, rel=2e-3)
 
 
 def test_dead_loads():

@@ -373,3 +373,12 @@ def test_a_draft_of_the_hemisphere_covers_the_fine_answer():
         assert abs(draft.quantities[name] - value) < draft.estimate[name]
     local = np.abs(draft.shear_angle_error)
     assert draft.estimate["shear_angle_deg"] < local.max()  # but it is no bound of the field
+
+
+def test_a_coarser_run_that_takes_many_times_the_work_is_stopped(monkeypatch):
+    monkeypatch.setattr(dependence, "MOST_WORK", 0.0)
+    result = qf.solve(qf.off_axis_tension(size=40, displacement=2))
+    notes = dict(result.notes)
+    entry = "the same on a mesh of 56 mm did not reach the end"
+    assert "0 times the work of the run" in notes[entry]
+    assert result.estimate["shear_angle_deg"] > 0  # by the finer one

@@ -353,7 +353,8 @@ BUILT = {
 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_every_shape_is_built_from_its_numbers(shape):
-    tool = f'[tools.extra]\nrole = "die"\nshape = "{shape}"\n'
+    role = "punch" if "punch" in shape else "die"
+    tool = f'[tools.extra]\nrole = "{role}"\nshape = "{shape}"\n'
     tool += "".join(f"{key} = {NUMBERS[key]}\n" for key in SHAPES[shape][1])
     extra = read(BASE + tool).tools[-1]
     assert same_shape(extra.shape, BUILT[shape])
@@ -636,7 +637,7 @@ REFUSED = {
     "hole from a file": (
         "",
         HOLE.replace("disc", "file"),
-        ["[blank.holes 1] shape = 'file'", "rectangle, disc, polygon"],
+        ["[blank.holes 1] unknown key 'radius'", "file"],
     ),
     "hole, second": ("", HOLE + HOLE.replace("20.0", "-1"), ["[blank.holes 2] radius must be"]),
     "holes no tables": (

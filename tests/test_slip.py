@@ -318,6 +318,39 @@ def test_pull_out_in_closed_form():
     assert np.interp(pulled, u, F) == pytest.approx(width * np.trapezoid(q, s), rel=1e-3)
 
 
+def test_intervals_of_slip_are_by_the_profile_of_the_cost():
+    """At both ends of each the cost has risen by that of 95 %; by the curvature it has not."""
+    from types import SimpleNamespace
+
+    from quasiform.identification.fit import search
+    from quasiform.identification.records import Curve
+    from quasiform.identification.slipping import PullOut, SlipUnknowns, slip_parameters
+
+    true, u = qf.Slip(0.05, 0.2, 5.0), np.linspace(0.02, 0.5, 12)
+    law = SimpleNamespace(
+        free=[], start=np.zeros(0), bounds=np.zeros((2, 0)), law=lambda p: PLAIN.shear
+    )
+    test = PullOut(80.0, 20.0, Curve(np.ones(12), u, None, np.ones(12)), 400.0)
+    F = test.predicted(SimpleNamespace(slip=true))
+    noisy = F * (1 + 0.1 * np.random.default_rng(1).normal(size=12))
+    test = replace(test, curve=Curve(noisy, u, None, 0.1 * F))
+    trial = search([test], SlipUnknowns(law, true), 1e-10)
+    found, variance = trial[0].law(trial[1].x).slip, 2 * trial[1].cost / 10
+
+    def missed(parameters):
+        off = []
+        for p in parameters:
+            name = p.name.removeprefix("slip.")
+            for end in (p.low, p.high):
+                held = SlipUnknowns(law, replace(found, **{name: end}), (name,))
+                rise = 2 * (search([test], held, 1e-10)[1].cost - trial[1].cost) / variance
+                off.append(abs(np.sqrt(rise) / 1.96 - 1))
+        return max(off)
+
+    by_curvature, by_profile = (slip_parameters(trial, models)[0] for models in ([], [test]))
+    assert missed(by_profile) < 0.3 * missed(by_curvature)
+
+
 def test_law_and_slip_are_identified_together(tmp_path):
     """From two strips that were computed with the memory of slip; and a pull-out alone beside."""
     true, rng = qf.Slip(0.005, 0.02, 5.0), np.random.default_rng(0)

@@ -175,7 +175,8 @@ def test_page_holds_every_field_state_and_tool(formed, tmp_path):
     assert read(last["fields"]["pressure"]).max() > 0
     assert {name for name, *_ in content["fields"]} == FOUND  # the error was not estimated
     punch, die, holder = content["tools"]
-    assert [tool["driven"] for tool in (punch, die, holder)] == [True, False, False]
+    moved = [tool["moved"][-1] for tool in (punch, die, holder)]
+    assert moved == [-content["states"][-1]["travel"], 0.0, 0.0]
     assert np.nanmin(read(punch["z"])) == pytest.approx(1.004, abs=0.05)  # on the sheet
     assert np.isnan(read(die["z"])).any()  # its opening
     assert view.save(formed.record, tmp_path / "view.html").stat().st_size < 3e6

@@ -14,6 +14,7 @@ from ..scenes.forming import forming
 
 if TYPE_CHECKING:
     from ..energy.contact import Contact
+    from ..tools.shapes import Tool
 
 FloatArray = np.ndarray
 CUT = 161  # points a side of the grid on which a tool is cut
@@ -71,8 +72,8 @@ def tool_cuts(run: Record) -> tuple[dict[str, tuple[FloatArray, ...]], str]:
     return cuts, why_not
 
 
-def tool_faces(run: Record) -> Iterator[tuple[str, str, FloatArray, FloatArray, FloatArray]]:
-    """Faces of the tools towards the sheet: name, motion, x (n,), y (n,) and z (n, n), mm.
+def tool_faces(run: Record) -> Iterator[tuple[Tool, FloatArray, FloatArray, FloatArray]]:
+    """Faces of the tools towards the sheet: tool, x (n,), y (n,) and z (n, n), mm.
 
     z is nan where a tool has no face. Steps as long as the distance lead along z to the face: up
     to a punch or a holder, down to a die. Tools that move are shown at the start of the travel.
@@ -87,7 +88,7 @@ def tool_faces(run: Record) -> Iterator[tuple[str, str, FloatArray, FloatArray, 
             d = _distance(contact, 0.0, turn, x, y, z)
             z += np.where(down, -d, d)
         z[(np.abs(d) > NEAR) | (np.abs(z) > reach)] = np.nan
-        yield contact.tool.name, contact.tool.motion, x, y, z
+        yield contact.tool, x, y, z
 
 
 def _tools(run: Record) -> tuple[Sequence[Contact], float, str]:
@@ -121,6 +122,4 @@ def _distance(
     """(n, n) signed distance from a tool after a travel at x (n,), y (n,), z (n, n), mm."""
     tool = contact.tool
     plan = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2) @ rotation(turn)
-    height = tool.height - (travel if tool.motion == "driven" else 0.0)
-    points = np.column_stack([plan, z.ravel()]) - [*tool.place, height]
-    return tool.shape.distance(points)[0].reshape(z.shape)
+    return tool.gap(np.column_stack([plan, z.ravel()]), tool.moved(travel)).reshape(z.shape)

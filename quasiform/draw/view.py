@@ -220,9 +220,10 @@ def _content(run: Record, numbers: _Numbers) -> dict[str, Any]:
         seen += [sheet.points.min(0), sheet.points.max(0)]
     ranges["shear"] = [0.0, plot.scale_end([run.sheet])]
     tools = []
-    for name, motion, x, y, z in tool_faces(run):
+    for tool, x, y, z in tool_faces(run):
         corners = np.stack([*np.meshgrid(x, y), z], axis=-1)
-        tools.append({"name": name, "driven": motion == "driven", "z": numbers.add(z)})
+        moved = [tool.moved(state["travel"]) for state in states]
+        tools.append({"name": tool.name, "moved": moved, "z": numbers.add(z)})
         tools[-1] |= {"x": x.tolist(), "y": y.tolist()}
         seen += [np.nanmin(corners, (0, 1)), np.nanmax(corners, (0, 1))]
     room = 2 * ABOVE * plot.extent(run.sheet)

@@ -13,7 +13,8 @@ normal is needed; so it is in a sheet that is held flat, where r B/2 |k|² is al
 
 A clamp or a mirror plane supplies the missing neighbour and counts for the half of the stencil's
 area that lies in the model: k = 2 (x₁ - x₀ - l t)/l² at a clamp with the direction t. A free end
-has no stencil: its curvature is the natural condition zero.
+has no stencil: its curvature is the natural condition zero. Where a slit along a fibre line ends,
+the line parts into the two edges of the slit: each has a stencil there, with half of the area.
 """
 
 from __future__ import annotations
@@ -32,33 +33,38 @@ NEIGHBOURS = 9  # of the fit on any mesh, at most; five are needed
 class Bending(Term):
     """Bending of warp and weft lines, five nodes a stencil: (centre, warp -, +, weft -, +).
 
-    Lines that end at a `clamped` (n_nodes,) bool node keep their flat direction.
+    Lines that end at a `clamped` (n_nodes,) bool node, or enter a clamped part, keep their flat
+    direction there.
     """
 
     def __init__(self, sheet: Sheet, clamped: np.ndarray | None = None) -> None:
         self.sheet, blank = sheet, sheet.blank
-        n = len(blank.nodes)
+        centre, neighbours, slope, share = _stencils(blank)
+        n = len(centre)
         rows = np.zeros((n, 4, 5, 3))  # k_warp, k_weft, u, v as combinations of the five nodes
         constant = np.zeros((n, 4, 3))
-        nodes = np.repeat(np.arange(n)[:, None], 5, axis=1)
+        nodes = np.repeat(centre[:, None], 5, axis=1)
         half_lengths = np.zeros((n, 2))
+        held = None if clamped is None else clamped[centre]
         for f, family in enumerate(("warp", "weft")):
-            beside, grad = _neighbours(blank, family)
+            beside, grad = neighbours[f], slope[f]
             present = beside >= 0
             slopes, fixed = np.zeros((2, n, 5, 3)), np.zeros((2, n, 3))
             for side, sign in ((0, -1.0), (1, 1.0)):  # of the segments before and after the node
                 column = 1 + 2 * f + side
-                nodes[:, column] = np.where(present[side], beside[side], np.arange(n))
+                nodes[:, column] = np.where(present[side], beside[side], centre)
                 slopes[side, :, column] = sign * grad[side][:, None]
                 slopes[side, :, 0] = -slopes[side, :, column]
             length = np.where(present, 1.0 / np.where(present, grad, 1.0), 0.0)
-            half_lengths[:, f] = 0.5 * length.sum(0)
+            rigid = present & False if clamped is None else present & held & clamped[beside]
+            rigid &= (present & ~rigid)[::-1]  # one side of the rim of a clamped part
+            half_lengths[:, f] = 0.5 * np.where(rigid, 0.0, length).sum(0)
             along = np.append(blank.warp if family == "warp" else blank.weft, 0.0)
             known = present.copy()
             for axis, plane in enumerate("xy"):
                 if plane not in blank.mirror or abs(along[axis]) < 1 - 1e-8:
                     continue
-                on_plane = np.abs(blank.nodes[:, axis]) < 1e-9
+                on_plane = np.abs(blank.nodes[centre, axis]) < 1e-9
                 # slope of the mirrored segment, walked in the same direction
                 mirror = np.where(np.arange(3) == axis, 1.0, -1.0)
                 for side in (0, 1):
@@ -68,7 +74,7 @@ class Bending(Term):
                     known[side, at] = True
             if clamped is not None:
                 for side in (0, 1):
-                    at = clamped & known[1 - side] & ~known[side]
+                    at = held & known[1 - side] & (rigid[side] | ~known[side])
                     slopes[side, at] = 0.0
                     fixed[side, at] = along
                     length[side, at] = 0.0  # the slopes are half a segment apart
@@ -81,7 +87,7 @@ class Bending(Term):
             rows[:, 2 + f] = (slopes * known[:, :, None, None]).sum(0) / count[:, None, None]
             constant[:, 2 + f] = fixed.sum(0) / count[:, None]
         bent = (np.abs(rows[:, :2]).sum((1, 2, 3)) > 0) & half_lengths.all(1)
-        areas = half_lengths[bent].prod(1)
+        areas = half_lengths[bent].prod(1) * share[bent]
         self._set(nodes[bent], rows[bent], constant[bent], areas)
 
     def _set(
@@ -274,16 +280,28 @@ def second_derivative(
     return H
 
 
-def _neighbours(blank: Blank, family: str) -> tuple[IntArray, FloatArray]:
-    """(2, n) nodes before and after each on its fibre line (-1: none), 1/l of those segments."""
-    line = blank.fibre_lines(family)
-    basis = Basis(line, ElementLineP1(), quadrature=(np.array([[0.5]]), np.array([1.0])))
-    slope = basis.basis[1][0].grad[0, :, 0]  # of the second node's shape function: 1/l
-    first, second = basis.element_dofs
-    beside, grad = np.full((2, len(blank.nodes)), -1), np.zeros((2, len(blank.nodes)))
-    beside[0, second], beside[1, first] = first, second
-    grad[0, second], grad[1, first] = slope, slope
-    return beside, grad
+def _stencils(blank: Blank) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
+    """Centres (n,) of stencils and, for warp and weft, the nodes before and after on their lines.
+
+    The latter are (2, 2, n), -1: none, as is 1/l of those segments. The last are shares (n,) of the
+    areas: below 1 for a node at the end of a slit, where a line has two segments on one side.
+    """
+    n, forks = len(blank.nodes), list[tuple]()
+    beside, grad = np.full((2, 2, n), -1), np.zeros((2, 2, n))
+    for f, family in enumerate(("warp", "weft")):
+        line = blank.fibre_lines(family)
+        basis = Basis(line, ElementLineP1(), quadrature=(np.array([[0.5]]), np.array([1.0])))
+        slope = basis.basis[1][0].grad[0, :, 0]  # of the second node's shape function: 1/l
+        first, second = basis.element_dofs
+        for side, (at, other) in enumerate(((second, first), (first, second))):
+            beside[f, side, at], grad[f, side, at] = other, slope
+            more = np.flatnonzero(beside[f, side, at] != other)
+            forks += [(f, side, at[k], other[k], slope[k]) for k in more]
+    centre = np.array([*range(n), *(fork[2] for fork in forks)])
+    beside, grad = beside[..., centre], grad[..., centre]
+    for k, (f, side, _, other, slope) in enumerate(forks, n):
+        beside[f, side, k], grad[f, side, k] = other, slope
+    return centre, beside, grad, 1.0 / np.bincount(centre)[centre]
 
 
 def _curvature(y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

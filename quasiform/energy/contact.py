@@ -84,7 +84,8 @@ def at_nodes(blank: Blank, share: float = LENGTH) -> Points:
         side = np.full((n, 2), -1)
         side[segments[1], 0], side[segments[0], 1] = segments
         along = blank.warp if family == "warp" else blank.weft
-        inner = (side >= 0).all(1)
+        parted = (np.array([np.bincount(ends, minlength=n) for ends in segments]) > 1).any(0)
+        inner = (side >= 0).all(1) & ~parted  # a line parts at the end of a slit
         part = np.repeat(share * inner[:, None].astype(float), 3, axis=1)
         for axis, plane in enumerate("xy"):
             if plane in blank.mirror and abs(along[axis]) > 1 - 1e-8:

@@ -50,6 +50,7 @@ MARGIN = 0.03  # how far b may be negative before a node leaves its triangle
 SMOOTHED = 3  # averages of the normals from which h is taken: a zigzag of the nodes has none
 PASSES = 3  # of the search for the foot of the normal
 RIM = 0.2  # over so much of a triangle beyond the rim of the other ply a node loses its contact
+APART = 3.0  # sizes of the mesh on the flat sheet: distant places, which may meet in a fold
 DEEP = 3.0  # of the mean thickness: what is farther on the wrong side is on another fold
 
 
@@ -408,6 +409,22 @@ def slip_between(start: FloatArray, pair: Sequence[PlyContact], x: FloatArray) -
     slid = np.concatenate([contact.slid(start, x) for contact in pair])
     area, known = np.concatenate([contact.area for contact in pair]), ~np.isnan(slid)
     return percentile(slid[known], area[known], 0.99) if known.any() else 0.0
+
+
+def folds_on_itself(sheet: Sheet, x: FloatArray) -> bool:
+    """Whether a node is nearer than half a thickness to a distant place of its own sheet."""
+    blank, places = sheet.blank, sheet.positions(x)
+    corners = places[blank.triangles]
+    count = min(2 * NEAREST, len(corners))
+    near = cKDTree(corners.mean(1)).query(places, count)[1]
+    apart = np.linalg.norm(blank.nodes[:, None] - blank.centroids[near], axis=2)
+    node, k = np.nonzero(apart > APART * blank.size)
+    at = near[node, k]
+    arm, legs = places[node] - corners[at, 2], corners[at, :2] - corners[at, 2:]
+    n = np.cross(legs[:, 0], legs[:, 1])
+    n /= np.linalg.norm(n, axis=1)[:, None]
+    inside = _along(n, arm[:, None], legs[:, None])[:, 0].min(1) >= 0
+    return bool((np.abs((n * arm).sum(1)[inside]) < 0.5 * sheet.fabric.thickness).any())
 
 
 def _averages(sheet: Sheet) -> csr_array:

@@ -30,11 +30,12 @@ from ..net.transfer import interpolated
 from ..unknowns import Field, FloatArray, Sheet
 from .bending import Bending
 from .membrane import Membrane, along_fibres, dot
-from .term import Standing, Term
+from .term import Quadratic, Standing, Term, frozen, same
 
 # k_n, of the compaction: it parts layers by about 0.1 mm. Its normal is lagged, so that a stiffer
 # one (the compaction itself) does not settle where slip of some mm turns.
 TOGETHER = 0.01
+AT_LIMIT = 1e-6  # of τ/K: how near to it slip counts as sliding
 ENDLESS = 1e99  # MPa: the resistance of rovings that only slip elastically
 
 
@@ -83,6 +84,7 @@ class SlipResistance(Term):
         nodes, n = blank.basis.element_dofs.T, len(blank.nodes)
         grad = np.stack([phi[0].grad[:, :, 0] for phi in blank.basis.basis])  # (3, 2, m)
         at = np.repeat(nodes, 3, axis=1).ravel(), np.tile(nodes, 3).ravel()
+        self._last: tuple[FloatArray, Slipped, tuple[FloatArray, ...]] | None = None
         self._along, self._symmetric = [], np.ones((2, n, sheet.dim))
         for f, along in enumerate((blank.warp, blank.weft)):
             # F a0 times the area, summed over the triangles around a node
@@ -145,14 +147,17 @@ class SlipResistance(Term):
 
     def _at(self, x: FloatArray, state: Slipped) -> tuple[FloatArray, ...]:
         """Slip d - p in the sheet (n, dim), its length, and what of that exceeds the limit (n,)."""
-        d = x[self.dofs] - state.p
-        d -= (state.normal * d).sum(1)[:, None] * state.normal
-        r = np.sqrt((d * d).sum(1))
-        return d, r, np.maximum(r - self.tau / self.K, 0.0)
+        if self._last is None or self._last[1] is not state or not same(self._last[0], x):
+            d = x[self.dofs] - state.p
+            if self.kn:
+                d -= np.vecdot(state.normal, d)[:, None] * state.normal
+            r = np.sqrt(np.vecdot(d, d))
+            self._last = frozen(x), state, (d, r, np.maximum(r - self.tau / self.K, 0.0))
+        return self._last[2]
 
     def _off(self, x: FloatArray, state: Slipped) -> FloatArray:
         """(n,) slip across the sheet, mm."""
-        return (state.normal * x[self.dofs]).sum(1)
+        return np.vecdot(state.normal, x[self.dofs]) if self.kn else np.zeros(len(self.area))
 
     def energy(self, x: FloatArray, state: Slipped) -> FloatArray:
         _, r, over = self._at(x, state)
@@ -166,19 +171,19 @@ class SlipResistance(Term):
         return self.area[:, None] * force
 
     def hessian(self, x: FloatArray, state: Slipped, convex: bool) -> FloatArray:
-        d, r, over = self._at(x, state)
+        """At the limit, where `commit` leaves what slides, that of sliding on."""
+        d, r, _ = self._at(x, state)
         t = d / np.maximum(r, 1e-300)[:, None]
         ring = self.tau / np.maximum(np.maximum(r, self.tau / self.K), 1e-300)  # K up to the limit
         nn = state.normal[:, :, None] * state.normal[:, None]
         H = ring[:, None, None] * (np.eye(d.shape[1]) - nn) + self.kn * nn
-        H -= np.where(over > 0, ring, 0.0)[:, None, None] * t[:, :, None] * t[:, None]
+        limit = (1.0 - AT_LIMIT) * self.tau / self.K
+        H -= np.where(r > limit, ring, 0.0)[:, None, None] * t[:, :, None] * t[:, None]
         return self.area[:, None, None] * H
 
 
-class SlipWidth(Term):
+class SlipWidth(Quadratic):
     """G/2 |∇d|²: neighbouring rovings slip together."""
-
-    quadratic = True
 
     def __init__(self, sheet: Sheet, slip: Field) -> None:
         blank, self.sheet, self.name = sheet.blank, sheet, sheet.named("width of slip")
@@ -199,14 +204,12 @@ class SlipWidth(Term):
         return self.H.copy()
 
 
-class SlipBending(Term):
+class SlipBending(Quadratic):
     """Resistance of the rovings to bending in their plane, which each layer has on its own.
 
     `Bending` has r B/2 |k|² of the mean surface. With k of x + d/2 for the warp and of x - d/2 for
     the weft it lacks Σ A r B/2 [±k(x)·k(d) + |k(d)|²/4]. The sum of both is semi-definite.
     """
-
-    quadratic = True
 
     def __init__(self, bending: Bending, slip: Field) -> None:
         dim, m = bending.sheet.dim, len(bending.dofs)

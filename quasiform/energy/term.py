@@ -22,9 +22,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from ..checks import InputError
 from ..net.transfer import interpolated
@@ -151,6 +153,41 @@ class Term:
             if isinstance(value, np.ndarray) and len(value) == len(old.places)
         }
         return replace(state, **by_stencil)
+
+
+class Quadratic(Term):
+    """A quadratic energy without memory: a sum over the sheet takes one product with a matrix."""
+
+    quadratic = True
+
+    @cached_property
+    def _at_zero(self) -> tuple[csr_array, FloatArray, float]:
+        """Hessian, gradient and energy at zero, over the unknowns up to the last one here."""
+        i, n = self.dofs, int(self.dofs.max()) + 1
+        zero, g, shape = np.zeros(n), np.zeros(n), (*i.shape, i.shape[1])
+        places = [np.broadcast_to(of, shape).ravel() for of in (i[:, :, None], i[:, None])]
+        H = csr_array((self.hessian(zero, None, False).ravel(), places), shape=(n, n))
+        H.eliminate_zeros()
+        super().add_gradient(g, zero, None)
+        return H, g, super().total(zero, None)
+
+    def changed(self) -> None:
+        """Sum anew: the Hessian has been replaced by another one."""
+        self.__dict__.pop("_at_zero", None)
+
+    def product(self, x: FloatArray) -> FloatArray:
+        """(n_dofs,) product of the Hessian with a motion."""
+        H = self._at_zero[0]
+        return np.append(H @ x[: H.shape[0]], np.zeros(len(x) - H.shape[0]))
+
+    def total(self, x: FloatArray, state: None) -> float:
+        _, g, constant = self._at_zero
+        return float(x[: len(g)] @ g + 0.5 * (x @ self.product(x))) + constant
+
+    def add_gradient(self, out: FloatArray, x: FloatArray, state: None) -> None:
+        g = self._at_zero[1]
+        out[: len(g)] += g
+        out += self.product(x)
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,7 +15,8 @@ FloatArray = np.ndarray
 ARROW = 0.15  # of the blank's size
 SIDE = "upper side (punch side) towards you; mm, 1:{:g}"
 SCALES = (1.0, 2.0, 2.5, 5.0, 10.0, 20.0, 25.0, 50.0, 100.0)
-LAYERS = {"BLANK": (8, "#777777"), "TRIM": (1, "#d00000"), "MARKS": (5, "#0050b0")}
+LAYERS = {"BLANK": (8, "#777777"), "SLITS": (3, "#008000"), "TRIM": (1, "#d00000")}
+LAYERS |= {"MARKS": (5, "#0050b0")}
 """Layers with their colours: numbers in DXF, names in SVG."""
 
 
@@ -26,17 +28,18 @@ class Drawing:
     trim: list[FloatArray]
     blank: list[FloatArray]
     along: FloatArray
+    slits: Sequence[FloatArray] = ()
 
 
 def write_dxf(pattern: Drawing, path: Path) -> None:
-    """Write layers BLANK, TRIM and MARKS, $INSUNITS millimetres; needs ezdxf."""
+    """Write layers BLANK, SLITS, TRIM and MARKS, $INSUNITS millimetres; needs ezdxf."""
     ezdxf = optional("ezdxf", "cad", "a .dxf file needs ezdxf")
     drawing = ezdxf.new("R2010")
     drawing.header["$INSUNITS"] = 4
     drawing.header["$MEASUREMENT"] = 1
     space = drawing.modelspace()
     lines, words = _content(pattern)
-    for layer, (colour, _) in LAYERS.items():
+    for layer, (colour, _) in ((name, LAYERS[name]) for name in lines):
         drawing.layers.add(layer, color=colour)
         for line in lines[layer]:
             closed = bool(np.array_equal(line[0], line[-1]))
@@ -73,7 +76,7 @@ def svg(pattern: Drawing, room: tuple[float, float] | None = None) -> str:
 
     layers = [
         (layer, colour, [" ".join(seen(line)) for line in lines[layer]])
-        for layer, (_, colour) in LAYERS.items()
+        for layer, (_, colour) in ((name, LAYERS[name]) for name in lines)
     ]
     words = [(*seen(at)[0].split(","), f"{size:.4f}", text) for text, at, size in words]
     given = {"name": pattern.name, "layers": layers, "words": words, "width": 0.25 * scale}
@@ -83,7 +86,7 @@ def svg(pattern: Drawing, room: tuple[float, float] | None = None) -> str:
 
 def write_csv(pattern: Drawing, path: Path) -> None:
     """Write the points of the lines: layer, number of the line in it, x, y."""
-    layers = {"TRIM": pattern.trim, "BLANK": pattern.blank}
+    layers = {"TRIM": pattern.trim, "BLANK": pattern.blank, "SLITS": pattern.slits}
     text = render("pattern.csv", layers=layers).replace("\n", "\r\n")
     path.write_text(text, encoding="utf-8", newline="")
 
@@ -110,4 +113,5 @@ def _content(
         left, bar = np.array([low[0], high[1] + height]), 10.0 ** np.floor(np.log10(0.5 * size))
         arrows.append(np.array([left, left + np.array([bar, 0.0])]))
         words.append((f"{bar:g} mm", left + np.array([0.0, 0.3 * height]), height))
-    return {"BLANK": pattern.blank, "TRIM": pattern.trim, "MARKS": arrows}, words
+    slits = {"SLITS": list(pattern.slits)} if pattern.slits else {}
+    return {"BLANK": pattern.blank, **slits, "TRIM": pattern.trim, "MARKS": arrows}, words

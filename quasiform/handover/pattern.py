@@ -21,6 +21,7 @@ from ..comparison.mapping import beyond_edge, on_surface, spacing
 from ..result.files import replaced
 from ..result.sheet import FormedSheet
 from ..tables import read_table
+from ..tools.mending import together
 from .drawing import Drawing, write_csv, write_dxf, write_svg
 from .fibres import ASIDE, limits_of, read_formed
 from .keywords import NOTICES, write_notices
@@ -35,6 +36,7 @@ FloatArray = np.ndarray
 Line = str | Path | FloatArray | Sequence[Sequence[float]]
 STEP = 0.25  # of the spacing: distance of the points that are mapped
 HALVINGS = 30  # of an edge, to find where a line crosses it
+TOUCH = 1e-7  # of the sheet: places that near are one
 JUMP = 3.0  # flat step over formed step: the line has passed from one fold to another
 FILES = ("pattern.dxf", "pattern.svg", "pattern.csv", "pattern.txt")
 NOT_MODELLED = NOTICES["pattern"]
@@ -53,6 +55,8 @@ class FlatPattern(Drawing):
         first point.
     along : (2, 2) array
         Flat unit vectors of warp (0°) and weft (90°).
+    slits : list of (k, 2) arrays
+        Lines along which the blank is cut before forming, mm.
     notices : tuple of str
         What the pattern does not hold: that of this one, then that of them all (`NOT_MODELLED`).
     ply : int
@@ -124,7 +128,7 @@ def flat_pattern(
     record = read_formed(source)
     sheet, notices = record.sheet, [*limits_of(record)]
     reach = record.fabric["thickness"] if within is None else check_number("within", within)
-    edges = [sheet.flat[loop] for loop in sheet.loops]
+    edges, slits = cut_lines(sheet)
     if isinstance(trim, str) and trim == "edge":
         lines = edges
     elif isinstance(trim, str) and trim == "die":
@@ -140,14 +144,30 @@ def flat_pattern(
             if curve.shape[1] == 2:
                 lines += _seen(sheet, plan, notices)
             else:
-                lines.append(_mapped(sheet, curve, reach, notices))
+                lines.append(_mapped(sheet, curve, reach, [*edges, *slits], notices))
     for line in lines:
         if _closed(line) and not shapely.LinearRing(line).is_simple:
             notices.append("the flat line crosses itself")
     notices += _without_dxf()
     name = ", ".join(filter(None, [record.case, record.ply_name]))
-    ply = record.ply * bool(record.ply_name)
-    return FlatPattern(name, lines, edges, sheet.along, (*notices, *NOT_MODELLED), ply)
+    ply, notices = record.ply * bool(record.ply_name), (*notices, *NOT_MODELLED)
+    return FlatPattern(name, lines, edges, sheet.along, slits, notices, ply)
+
+
+def cut_lines(sheet: FormedSheet) -> tuple[list[FloatArray], list[FloatArray]]:
+    """Flat outlines, the outer one first, and slits: where the edge of the sheet runs both ways."""
+    import shapely
+
+    flat, same, _ = together(sheet.flat, TOUCH * float(np.ptp(sheet.flat)))
+    steps = [np.column_stack([loop[:-1], loop[1:]]) for loop in map(same.take, sheet.loops)]
+    ends, count = np.unique(np.sort(np.vstack(steps), axis=1), axis=0, return_counts=True)
+    if count.max() == 1:
+        return [sheet.flat[loop] for loop in sheet.loops], []
+    found = []
+    for part in (ends[count == 1], ends[count > 1]):
+        merged = shapely.line_merge(shapely.multilinestrings(shapely.linestrings(flat[part])))
+        found.append([shapely.get_coordinates(line) for line in shapely.get_parts(merged)])
+    return sorted(found[0], key=lambda line: -shapely.Polygon(line).area), found[1]
 
 
 def _without_dxf() -> list[str]:

@@ -46,6 +46,7 @@ from .specimen import OffAxis
 FloatArray = np.ndarray
 WIDEST = 7.0  # of the logarithm of K and τ from their start
 NOISE = 0.05  # of a force, in a further test
+PROFILE = 1e-4  # relative change of the cost at the end of an interval
 SURE = 1.0  # half a 95 % interval of such a logarithm: beyond, it is not identified
 
 
@@ -170,6 +171,7 @@ class SlippingSheet(Sheet):
         resistance = self.model.slip
         resistance.K, resistance.tau = law.slip.stiffness, min(law.slip.resistance, ENDLESS)
         self.width.H = law.slip.coupling * self.unit
+        self.width.changed()
         return super().states(law.shear)
 
     def _slopes(
@@ -274,7 +276,7 @@ def identify_with_slip(
     free = NAMES if start.law.I_lo < top else NAMES[:4]
     unknowns = SlipUnknowns(LawUnknowns(start.law, free), slip)
     trial = search(models, unknowns, TOLERANCE)
-    parameters, correlation = slip_parameters(trial)
+    parameters, correlation = slip_parameters(trial, models)
     found = report(models, *trial, {})
     notices = [f"K and τ have a correlation of {correlation:.2f}"] if len(parameters) > 1 else []
     strips = [test[0] for test in tests if isinstance(test[0], OffAxis)]
@@ -326,30 +328,69 @@ def next_test(trial: Trial, strips: Sequence[OffAxis], fabric: Fabric, size: flo
     return f"{best} would narrow the wider interval of K and τ most, to ± {100 * half[best]:.0f} %"
 
 
-def slip_parameters(found: Trial) -> tuple[list[Parameter], float]:
-    """K and τ with their 95 % intervals, and their correlation (nan for one of them alone)."""
+def slip_parameters(found: Trial, models: Sequence[Any] = ()) -> tuple[list[Parameter], float]:
+    """K and τ with their 95 % intervals, and their correlation (nan for one of them alone).
+
+    The intervals are by the profile of the cost, see `profiled`; without models by its curvature.
+    """
     unknowns, fitted = found
     law, count = unknowns.law(fitted.x), len(unknowns.names)
-    covariance = _covariance(fitted.jac, fitted.fun)[-count:, -count:]
-    deviation = np.sqrt(np.diag(covariance))
+    covariance = _covariance(fitted.jac, fitted.fun)
     units = {"stiffness": "N/mm³", "resistance": "MPa"}
     parameters = []
-    for name, wide in zip(unknowns.names, (1.96 * deviation).tolist(), strict=True):
-        value = getattr(law.slip, name)
-        low, high = (value * float(np.exp(min(wide, 99.0) * sign)) for sign in (-1, 1))
-        state = "fitted" if wide < SURE else "not identified"
+    for i, name in enumerate(unknowns.names, start=-count):
+        value, wide = getattr(law.slip, name), 1.96 * float(np.sqrt(covariance[i, i]))
+        ends = [-wide, wide]
+        if models and wide < SURE:
+            ends = [profiled(models, found, covariance, i, end) for end in ends]
+        low, high = (value * float(np.exp(np.clip(end, -99.0, 99.0))) for end in ends)
+        state = "fitted" if max(np.abs(ends)) < SURE else "not identified"
         high = high if wide < 99.0 else np.inf
         parameters.append(Parameter(f"slip.{name}", value, low, high, units[name], state))
-    both = covariance[0, -1] / np.prod(deviation) if count == 2 else np.nan
+    both = np.nan
+    if count == 2:
+        both = covariance[-2, -1] / np.sqrt(covariance[-2, -2] * covariance[-1, -1])
     return parameters, float(both)
 
 
-def _covariance(J: FloatArray, r: FloatArray) -> FloatArray:
-    """(k, k) of the numbers; larger where the residuals (n,) are correlated, infinite if unseen."""
+def profiled(
+    models: Sequence[Any], found: Trial, covariance: FloatArray, i: int, end: float
+) -> float:
+    """Where the cost, with all other numbers fitted again, has risen by that of a 95 % interval.
+
+    Strips tell less of slip the less they slip, so that intervals by curvature are too narrow on
+    one side. From the `end` of such an interval of number i, the root of the rise is taken as
+    quadratic (profile t, [1]_). Where there is no equilibrium at that end, it is returned.
+
+    References
+    ----------
+    .. [1] D. M. Bates, D. G. Watts, Nonlinear Regression Analysis (1988), 6.1.
+    """
+    unknowns, fitted = found
+    p = fitted.x + covariance[:, i] / covariance[i, i] * end
+    p = np.clip(p, *(unknowns.bounds + np.array([[1e-9], [-1e-9]])))
+    held = SlipUnknowns(unknowns.of_law, unknowns.law(p).slip, (unknowns.names[i],))
+    held.start[: len(unknowns.of_law.start)] = p[: len(unknowns.of_law.start)]
+    try:
+        cost = search(models, held, PROFILE)[1].cost
+    except InputError:
+        return end
+    rise = 2.0 * max(cost - fitted.cost, 0.0) / _variance(fitted.jac, fitted.fun)
+    bent = np.sqrt(rise) / 1.96 - 1.0  # root = 1.96 (t + bent t²) at t of the end
+    return 2.0 * end / (1.0 + float(np.sqrt(max(1.0 + 4.0 * bent, 0.0))))
+
+
+def _variance(J: FloatArray, r: FloatArray) -> float:
+    """Variance of the residuals (n,); larger where these are correlated."""
     lag = float(np.clip((r[1:] @ r[:-1]) / max(r @ r, 1e-300), 0.0, 0.95))
-    variance = float(r @ r) / max(len(r) - J.shape[1], 1) * (1 + lag) / (1 - lag)
+    return float(r @ r) / max(len(r) - J.shape[1], 1) * (1 + lag) / (1 - lag)
+
+
+def _covariance(J: FloatArray, r: FloatArray) -> FloatArray:
+    """(k, k) of the numbers; infinite if unseen."""
     size = np.linalg.norm(J, axis=0)
     seen = size > UNSEEN * size.max()
     found = np.diag(np.full(len(size), 1e8))
-    found[np.ix_(seen, seen)] = variance * np.linalg.pinv(J[:, seen].T @ J[:, seen], hermitian=True)
+    pseudo = np.linalg.pinv(J[:, seen].T @ J[:, seen], hermitian=True)
+    found[np.ix_(seen, seen)] = _variance(J, r) * pseudo
     return found

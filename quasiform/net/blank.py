@@ -29,6 +29,7 @@ from skfem import Basis, ElementTriP1, MeshLine, MeshTri
 from ..checks import InputError, check_number
 from ..tools.mending import edges_of, position, rings_of
 from .cells import cut_net
+from .slits import check_slits, met, mirror_slits
 
 if TYPE_CHECKING:
     import shapely
@@ -99,6 +100,14 @@ class Blank:
         """(n_nodes,) tributary areas, mm²; they sum to the area of the blank."""
         share = np.repeat(self.areas / 3.0, 3)
         return np.bincount(self.triangles.ravel(), share, minlength=len(self.nodes))
+
+    @cached_property
+    def doubled(self) -> IntArray:
+        """Nodes on slits: others lie at the same places."""
+        from scipy.spatial import cKDTree
+
+        near = 1e-6 * self.size
+        return np.unique(cKDTree(self.nodes).query_pairs(near, output_type="ndarray"))
 
     @cached_property
     def centroids(self) -> FloatArray:
@@ -228,16 +237,18 @@ def cut(
     orientation: float = 0.0,
     through: Sequence[tuple[float, float]] = (),
     mirror: tuple[str, ...] = (),
+    slits: Sequence[FloatArray] = (),
 ) -> Blank:
-    """Mesh a blank of any outline, with holes.
+    """Mesh a blank of any outline, with holes and slits.
 
-    Fibre lines run through the points `through`, the corners (of more than 20°) and the extremes of
-    the outline and its holes, in this order, unless one is there already within 0.4 of the spacing.
+    Fibre lines run through the points `through`, the ends of slits, the corners (of more than 20°)
+    and the extremes of the outline and its holes, in this order, unless one is there already within
+    0.4 of the spacing.
     The others are `size` apart from the first of these on, so that they stay where they are when
     the outline changes; they are evenly spaced between these where an edge is at 45° to the fibres,
     which then runs along diagonals of the cells.
-    The outline moves by at most a tenth of the spacing to meet the net. What is narrower than a
-    seventh of the spacing can be lost: small holes, the ends of sharp tips.
+    Outline and slits move by at most a tenth of the spacing to meet the net. What is narrower than
+    a seventh of the spacing can be lost: small holes, the ends of sharp tips.
 
     Parameters
     ----------
@@ -251,6 +262,8 @@ def cut(
         Points that must lie on a warp and a weft line.
     mirror : tuple of "x" and "y"
         Mesh only the positive side of the planes x = 0, y = 0.
+    slits : (k, 2) arrays, mm
+        Open lines along which the fabric is cut: the nodes on them are doubled.
 
     Raises
     ------
@@ -275,15 +288,22 @@ def cut(
         raise InputError(f"the outline must be one valid polygon with an area, got a {kind}")
     x0, y0, x1, y1 = outline.bounds
     _check_count(size, x1 - x0, y1 - y0, outline.area)
+    check_slits(outline, slits)
     outline = _mirrored_part(outline, mirror, orientation, size)
+    for plane in mirror:
+        if not mirror_slits(slits, "xy".index(plane), 0.01 * size):
+            remedy = f"leave '{plane}' out of mirror"
+            raise InputError(f"the slits are not symmetric to {plane} = 0: {remedy}")
     R = rotation(orientation)
     oriented = shapely.orient_polygons(outline)
     rings = [shapely.get_coordinates(r)[:-1] for r in (oriented.exterior, *oriented.interiors)]
     first = rings[0][rings[0].sum(1).argmin()] @ R
-    rings = [ring @ R for ring in rings]
+    rings, lines = [ring @ R for ring in rings], [np.asarray(line) @ R for line in slits]
+    rings, slits = met(rings, lines, GIVE * size)
     corners = [_corners(ring, size) for ring in rings]
     extremes = [_extremes(*pair, size) for pair in zip(rings, corners, strict=True)]
-    points = np.vstack([np.reshape(through, (-1, 2)) @ R, *corners, *extremes])
+    ends = [line[[0, -1]] for line in slits]
+    points = np.vstack([np.reshape(through, (-1, 2)) @ R, *ends, *corners, *extremes])
     lines, even = [], _on_diagonals(rings[0], size)
     for i in (0, 1):
         planes = [0.0 for plane in mirror if abs(R["xy".index(plane), i]) == 1]
@@ -292,7 +312,7 @@ def cut(
         anchor = [*planes, *points[:, i]][0]
         lines.append(_lines_through(stops, size) if even else _lines_from(anchor, stops, size))
     near = GIVE * min(size, max(np.diff(line).max() for line in lines))
-    nodes, triangles = cut_net(lines, rings, near, GIVE, first)
+    nodes, triangles = cut_net(lines, rings, near, GIVE, first, slits)
     blank = Blank(nodes @ R.T, triangles, R[:, 0], R[:, 1], mirror)
     return _in_one_part(blank, outline, size)
 

@@ -8,6 +8,8 @@
    are found by walking along edges with the face on the left. They are fanned from a point of the
    outline, so that at least one of their right corners keeps its triangle; a fan with too sharp an
    angle is replaced by the triangulation with the largest smallest angle.
+4. Slits are open lines that are divided and moved like the outline. Both of their sides bound
+   faces, and the nodes on them are doubled at the end.
 """
 
 from __future__ import annotations
@@ -17,22 +19,32 @@ from functools import cache
 from math import atan2, pi
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from ..checks import InputError
 
 FloatArray = np.ndarray
 IntArray = np.ndarray
 CROSSED = "the outline crosses itself between fibre lines: choose a smaller size"
+TOO_NEAR = "a slit is too near to the outline or another slit: choose a smaller size"
+EXACT = 1e-9  # of the area: round-off
 
 
 def cut_net(
-    lines: list[FloatArray], rings: list[FloatArray], near: float, sharp: float, first: FloatArray
+    lines: list[FloatArray],
+    rings: list[FloatArray],
+    near: float,
+    sharp: float,
+    first: FloatArray,
+    slits: list[FloatArray] = [],  # noqa: B006
 ) -> tuple[FloatArray, IntArray]:
     """Cut the net of lines at the coordinates a and b by rings: nodes (n, 2), triangles (m, 3).
 
     The outline comes first, counter-clockwise, then holes, clockwise. It moves by up to `near` to
     meet the net. Fans with angles below `sharp` (radians) are replaced by other triangles. The
     diagonals run through the net's node at `first` (2,), unless the outline itself runs along them.
+    Slits (k, 2) meet rings and each other only at their ends, which are points of the rings too.
     """
     import shapely
 
@@ -42,11 +54,12 @@ def cut_net(
         for line, r in zip(lines, np.vstack(rings).T, strict=True)
     ]
     a, b = lines
-    points, codes, loops = _fitted(rings, lines, near)
+    points, codes, loops, slit = _fitted(rings, slits, lines, near)
     kept = shapely.Polygon(rings[0], [rings[k] for k in loops if k > 0])
 
     # segments of the outline that cross a cell, and nodes of it between those of the net
-    path = np.vstack([np.stack([loop, np.roll(loop, -1)], axis=1) for loop in loops.values()])
+    rim = np.vstack([np.stack([loop, np.roll(loop, -1)], axis=1) for loop in loops.values()])
+    path = np.vstack([rim, slit, slit[:, ::-1]])
     start, end = codes[path[:, 0]], codes[path[:, 1]]
     place = np.where(start % 2 == 1, start, np.where(end % 2 == 1, end, (start + end) // 2))
     crossing = (place % 2 == 1).all(1)
@@ -55,7 +68,7 @@ def cut_net(
         chains.setdefault(tuple(cell.tolist()), []).append(tuple(segment))
     on_legs: dict[tuple[int, int], list[int]] = {}
     n_net = len(a) * len(b)
-    between = path[(path[:, 0] >= n_net) & ((start % 2).sum(1) == 1), 0]
+    between = np.unique(path[(path[:, 0] >= n_net) & ((start % 2).sum(1) == 1), 0])
     for point, (A, B) in zip(between.tolist(), codes[between].tolist(), strict=True):
         on_legs.setdefault((A, B), []).append(point)
         for cell in ((A // 2, B // 2), ((A - 1) // 2, (B - 1) // 2)):
@@ -71,36 +84,82 @@ def cut_net(
         whole[i, j] = False
 
     # alternating diagonals: those ending on nodes of the parity of an outline that runs along them
-    steps = np.abs(np.diff(codes[path], axis=1))[:, 0]
-    votes = codes[path[(steps == 2).all(1), 0]].sum(1) // 2 % 2
+    steps = np.abs(np.diff(codes[rim], axis=1))[:, 0]
+    votes = codes[rim[(steps == 2).all(1), 0]].sum(1) // 2 % 2
     parity = sum(int(np.abs(line - c).argmin()) for line, c in zip(lines, first, strict=True))
-    parity = votes.mean() > 0.5 if len(votes) > 0.25 * crossing.sum() else parity % 2
+    parity = votes.mean() > 0.5 if len(votes) > 0.25 * crossing[: len(rim)].sum() else parity % 2
     I, J = np.nonzero(whole)
     ring = np.stack([I * len(b) + J, (I + 1) * len(b) + J], axis=1)
     ring = np.hstack([ring, ring[:, ::-1] + 1])
     even = ((I + J) % 2 == parity)[:, None, None]
     triangles = np.where(even, ring[:, [[0, 1, 2], [2, 3, 0]]], ring[:, [[3, 0, 1], [1, 2, 3]]])
     triangles = np.vstack([triangles.reshape(-1, 3), _triangulated(faces, points, sharp)])
+    if len(slit):
+        enclosed = _area(points[triangles]), _area(points[rim])
+        if abs(enclosed[0] - enclosed[1]) > EXACT * enclosed[1]:
+            raise InputError(TOO_NEAR)
+        triangles, double = opened(triangles, slit, len(points))
+        points = np.vstack([points, points[double]])
     used, triangles = np.unique(triangles, return_inverse=True)
     return points[used], triangles.reshape(-1, 3)
 
 
+def _area(polygons: FloatArray) -> float:
+    """Area within the edges of polygons (n, k, 2); or (n, 2, 2) of edges, each once."""
+    (x, y), (u, v) = polygons.T, np.roll(polygons, -1, axis=1).T
+    cross = x * v - y * u
+    return 0.5 * float((cross[0] if len(cross) == 2 else cross).sum())
+
+
+def opened(triangles: IntArray, slit: IntArray, n: int) -> tuple[IntArray, IntArray]:
+    """Part triangles (m, 3) on n nodes along edges `slit` (k, 2) between these.
+
+    Returns the triangles with new nodes, numbered from n on, and the node of which each of these
+    is the double. Nodes at the inner ends of slits stay single.
+
+    Examples
+    --------
+    >>> triangles = np.array([[0, 1, 2], [0, 2, 3]])
+    >>> opened(triangles, np.array([[0, 2]]), 4)[0].tolist()
+    [[0, 1, 2], [4, 5, 3]]
+    """
+    corners = triangles.ravel()
+    # the two corners at each end of an edge that two triangles share belong together
+    ahead = np.arange(len(corners)).reshape(-1, 3)
+    ends = np.stack([ahead, np.roll(ahead, -1, axis=1)], axis=-1).reshape(-1, 2)
+    ends = np.take_along_axis(ends, np.argsort(corners[ends], axis=1), axis=1)
+    key, cut = corners[ends] @ [n, 1], np.sort(slit, axis=1) @ [n, 1]
+    order = np.argsort(key, kind="stable")
+    both = np.flatnonzero((np.diff(key[order]) == 0) & ~np.isin(key[order][1:], cut))
+    links = ends[order[both]].ravel(), ends[order[both + 1]].ravel()
+    graph = coo_array((np.ones(len(links[0])), links), shape=2 * (len(corners),))
+    _, group = connected_components(graph, directed=False)
+    node = corners[np.unique(group, return_index=True)[1]]  # of each group
+    _, first = np.unique(node, return_index=True)
+    more = np.isin(node, slit)
+    more[first] = False
+    number = node.copy()
+    number[more] = n + np.arange(more.sum())
+    return number[group].reshape(-1, 3), node[more]
+
+
 def _fitted(
-    rings: list[FloatArray], lines: list[FloatArray], near: float
-) -> tuple[FloatArray, IntArray, dict[int, IntArray]]:
-    """Fit rings to the net of lines: what comes within `near` of a line or node moves there.
+    rings: list[FloatArray], slits: list[FloatArray], lines: list[FloatArray], near: float
+) -> tuple[FloatArray, IntArray, dict[int, IntArray], IntArray]:
+    """Fit rings and slits to the net of lines: what is within `near` of a line or node moves there.
 
     Returns points (n, 2), the nodes of the net line by line, then those of the outline; codes
-    (n, 2) of where they lie, 2 i on line i, 2 i + 1 between the lines i and i + 1; and the points
-    of the fitted rings by number, without holes that vanish.
+    (n, 2) of where they lie, 2 i on line i, 2 i + 1 between the lines i and i + 1; the points
+    of the fitted rings by number, without holes that vanish; and edges (k, 2) of the slits.
     """
+    ends = np.array([line[k] for line in slits for k in (0, -1)]).reshape(-1, 2)
     index = np.meshgrid(*(np.arange(len(line)) for line in lines), indexing="ij")
     points = [np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 2)]
     codes = [2 * np.stack(index, axis=-1).reshape(-1, 2)]
     count, loops = len(points[0]), {}
     for k, ring in enumerate(rings):
         code, snapped, original = _divided(ring, lines, near)
-        keep = _needed(code, snapped, original, near)
+        keep = _needed(code, snapped, original, near, _at(original, ends))
         code, snapped = code[keep], snapped[keep]
         on_node = (code % 2 == 0).all(1)
         number = np.where(on_node, code @ [len(lines[1]), 1] // 2, count + np.cumsum(~on_node) - 1)
@@ -117,11 +176,42 @@ def _fitted(
         points.append(snapped[~on_node])
         codes.append(code[~on_node])
         count += len(points[-1])
-    return np.vstack(points), np.vstack(codes), loops
+    edges = [np.empty((0, 2), dtype=int)]
+    known = {tuple(p): k for k, p in enumerate(np.vstack(points)[len(points[0]) :].tolist())}
+    for line in slits:
+        code, snapped, original = _divided(line, lines, near, closed=False)
+        keep = _needed(code, snapped, original, near, _at(original, ends), closed=False)
+        number = []
+        for at, place in zip(code[keep].tolist(), snapped[keep].tolist(), strict=True):
+            if at[0] % 2 == at[1] % 2 == 0:
+                number.append(at[0] // 2 * len(lines[1]) + at[1] // 2)
+                continue
+            if tuple(place) not in known:
+                known[tuple(place)] = len(known)
+                points.append(np.array([place]))
+                codes.append(np.array([at]))
+            number.append(len(points[0]) + known[tuple(place)])
+        edges.append(np.column_stack([number[:-1], number[1:]]))
+    return np.vstack(points), np.vstack(codes), loops, _slit_edges(edges, loops)
+
+
+def _slit_edges(edges: list[IntArray], loops: dict[int, IntArray]) -> IntArray:
+    """Edges (k, 2) of slits, each once, without those on the outline."""
+    rim = [np.column_stack([loop, np.roll(loop, -1)]) for loop in loops.values()]
+    found = np.unique(np.sort(np.vstack(edges), axis=1), axis=0)
+    found = found[found[:, 0] != found[:, 1]]
+    on_rim = set(map(tuple, np.sort(np.vstack(rim), axis=1).tolist()))
+    inside = [tuple(edge) not in on_rim for edge in found.tolist()]
+    return found[np.array(inside, dtype=bool)]
+
+
+def _at(points: FloatArray, ends: FloatArray) -> np.ndarray:
+    """(n,) bool array: which points are exactly one of the ends."""
+    return np.isin(points @ [1.0, 1j], ends @ [1.0, 1j])
 
 
 def _divided(
-    ring: FloatArray, lines: list[FloatArray], near: float
+    ring: FloatArray, lines: list[FloatArray], near: float, closed: bool = True
 ) -> tuple[IntArray, FloatArray, FloatArray]:
     """Vertices of a ring and its crossings with the lines: codes, places moved and original."""
     step = np.roll(ring, -1, axis=0) - ring
@@ -137,6 +227,9 @@ def _divided(
         place[:, axis] = crossed
         found.append((edge, share, place))
     edges, shares, original = map(np.concatenate, zip(*found, strict=True))
+    if not closed:
+        there = (edges < len(ring) - 1) | (shares == 0)
+        edges, shares, original = edges[there], shares[there], original[there]
     original = original[np.lexsort([shares, edges])]
     codes, moved = np.empty(original.shape, dtype=int), original.copy()
     for axis, line in enumerate(lines):
@@ -149,11 +242,22 @@ def _divided(
     return codes, moved, original
 
 
-def _needed(codes: IntArray, moved: FloatArray, original: FloatArray, near: float) -> IntArray:
-    """Vertices of a divided ring that are kept: nodes, crossings and corners off them."""
+def _needed(
+    codes: IntArray,
+    moved: FloatArray,
+    original: FloatArray,
+    near: float,
+    fixed: np.ndarray,
+    closed: bool = True,
+) -> IntArray:
+    """Vertices of a divided ring that are kept: nodes, crossings and corners off them.
+
+    So are `fixed` ones, (n,) bool; of an open line the first and the last must be so.
+    """
     odd = (codes % 2).sum(1)
     n = len(codes)
     begins = (codes != np.roll(codes, 1, axis=0)).any(1)
+    begins[0] |= not closed
     if not begins.any():
         return np.arange(0)
     # runs of vertices on the same node, leg or cell; a run on a leg crosses it, or only touches
@@ -164,7 +268,9 @@ def _needed(codes: IntArray, moved: FloatArray, original: FloatArray, near: floa
     sides = np.roll(code, 1, axis=0) - code, np.roll(code, -1, axis=0) - code
     crosses = (odd[order[first]] == 1) & ((sides[0] * sides[1] < 0) & (code % 2 == 0)).any(1)
     at_node = odd[order[first]] == 0
-    anchors = order[np.sort(np.r_[first[at_node], (first[crosses] + last[crosses]) // 2])]
+    crosses &= ~np.logical_or.reduceat(fixed[order], first)
+    anchors = np.r_[first[at_node], (first[crosses] + last[crosses]) // 2]
+    anchors = order[np.union1d(anchors, np.flatnonzero(fixed[order]))]
     if not len(anchors):
         return np.arange(0)
     order = np.roll(np.arange(n), -int(anchors[0]))

@@ -61,15 +61,17 @@ def polygon(points: Sequence[tuple[float, float]]) -> shapely.Polygon:
     return _loop(points)
 
 
-def with_holes(outline: shapely.Polygon, holes: Iterable[shapely.Polygon]) -> shapely.Polygon:
-    """Cut holes out of an outline, and notches: holes that cross its edge.
+def with_holes(
+    outline: shapely.Polygon, holes: Iterable[shapely.Polygon], name: str = "hole"
+) -> shapely.Polygon:
+    """Cut holes out of an outline, and notches: holes that cross its edge; `name` is for errors.
 
     InputError for a hole outside, on another hole or touching the edge, and for a notch that
     divides the blank.
     """
     whole = shapely.Polygon(outline.exterior)
     for k, hole in enumerate(holes, 1):
-        at = f"hole {k} near {position(hole.centroid.coords[0])}"
+        at = f"{name} {k} near {position(hole.centroid.coords[0])}"
         notch = TINY < hole.difference(whole).area / hole.area < 1 - TINY
         if not (notch or outline.contains_properly(hole)):
             words = "does not lie inside the outline, clear of its edge and of other holes"
@@ -109,15 +111,8 @@ def read_drawing(path: str | Path, scale: float = 1.0, layer: str | None = None)
     edges that cross, ...
     """
     path = Path(path)
-    kind = path.suffix.lower()
     with naming(path):
-        check_number("scale", scale)
-        if kind not in (known := (".dxf", *KINDS, *TABLES)):
-            expected = f"expected one of {', '.join(known)}"
-            raise InputError(f"unknown kind of outline '{kind}': {expected}")
-        check_file(path)
-        if layer is not None and kind != ".dxf":
-            raise InputError(f"layer = {layer!r}: only a .dxf file has layers")
+        kind = _kind(path, scale, layer, (".dxf", *KINDS, *TABLES))
         notes, unit = [], ("", 1.0)
         if kind == ".dxf":
             lines, notes, unit = _drawn(path, scale, layer)
@@ -126,10 +121,7 @@ def read_drawing(path: str | Path, scale: float = 1.0, layer: str | None = None)
                 ignored > 0
             )
         elif kind in TABLES:
-            points = read_numbers(path, most=2)[2]
-            if not np.isfinite(points).all():
-                raise InputError("not all coordinates are finite numbers")
-            outline = _loop(scale * points)
+            outline = _loop(_table(path, scale))
         else:
             vertices, triangles, notes = read_with_notes(path, scale)
             height = np.ptp(vertices[:, 2])
@@ -140,6 +132,55 @@ def read_drawing(path: str | Path, scale: float = 1.0, layer: str | None = None)
             outline, _ = _from_lines(rim, 0.0)
         check_unit(np.ptp(np.reshape(outline.bounds, (2, 2)), axis=0).max(), scale)
     return Drawing(outline, tuple(notes), unit)
+
+
+def read_lines(path: str | Path, scale: float = 1.0, layer: str | None = None) -> list[FloatArray]:
+    """Lines (k, 2), mm, of a layer of a .dxf file, or the one in a table; as `read_drawing`.
+
+    Lines whose ends meet are one; a closed one repeats its first point.
+    """
+    path = Path(path)
+    with naming(path):
+        if _kind(path, scale, layer, (".dxf", *TABLES)) != ".dxf":
+            return [_table(path, scale)]
+        lines = _joined(_drawn(path, scale, layer)[0], GAP)
+        merged = shapely.get_parts(shapely.line_merge(shapely.MultiLineString(lines)))
+        if not len(merged):
+            raise InputError("no lines found")
+        return [shapely.get_coordinates(line) for line in merged]
+
+
+def read_loops(
+    path: str | Path, scale: float = 1.0, layer: str | None = None
+) -> list[shapely.Polygon]:
+    """Polygons of all lines of `read_lines`; InputError for an open line."""
+    lines = read_lines(path, scale, layer)
+    with naming(path):
+        loose = np.array([shapely.LineString(p) for p in lines if (p[0] != p[-1]).any()])
+        if len(loose) and Path(path).suffix.lower() == ".dxf":
+            raise InputError(_open_end(loose))
+        return [_loop(line) for line in lines]
+
+
+def _kind(path: Path, scale: float, layer: str | None, known: Sequence[str]) -> str:
+    """Ending of the name of a file that can be read."""
+    kind = path.suffix.lower()
+    check_number("scale", scale)
+    if kind not in known:
+        expected = f"expected one of {', '.join(known)}"
+        raise InputError(f"unknown kind of outline '{kind}': {expected}")
+    check_file(path)
+    if layer is not None and kind != ".dxf":
+        raise InputError(f"layer = {layer!r}: only a .dxf file has layers")
+    return kind
+
+
+def _table(path: Path, scale: float) -> FloatArray:
+    """(n, 2) points of a table, mm."""
+    points = read_numbers(path, most=2)[2]
+    if not np.isfinite(points).all():
+        raise InputError("not all coordinates are finite numbers")
+    return scale * points
 
 
 def _drawn(

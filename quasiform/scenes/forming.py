@@ -21,13 +21,12 @@ from ..checks import InputError, check_number, round_length
 from ..energy.bending import Bending, PatchBending
 from ..energy.contact import Contact, at_edges, surrounds
 from ..energy.friction import Friction
-from ..energy.membrane import membrane_of
 from ..energy.plies import pair_name, slip_between
 from ..energy.softening import Softening, bending_terms
 from ..energy.term import Term
-from ..energy.weight import GRAVITY, SheetWeight, ToolForce, ToolWeight, load_of
+from ..energy.weight import GRAVITY, SheetWeight, ToolWeight, load_of
 from ..fabric import Fabric, fabric_of
-from ..model import Model
+from ..model import DIAPHRAGM, Model
 from ..net import free_mesh
 from ..net.blank import Blank, cut, rotation
 from ..net.edges import edge_points
@@ -38,6 +37,8 @@ from ..tools.shapes import Tool, turned
 from ..unknowns import Unknowns
 from . import scene_file, stack
 from .blank_file import blank_from_file
+from .diaphragm import membranes_of, with_diaphragm
+from .loads import FORCE, PRESSURE, drive_tool, force_over_travel, pressure_on_sheet, sink
 from .mechanics import check_mechanics
 from .room import check_clearance, mirror_planes, smallest_radius, what_resolves
 from .scene_file import SceneFile, SurfaceFile, ToolPart, check_increments
@@ -47,7 +48,7 @@ from .supports import fix_supports, grips, keep_middle
 
 LEAST = 0.5  # of the default size: how fine it may be for the sake of a fillet
 FINE = 0.4  # of the smallest fillet: the mesh of the path
-FACTOR, FORCE = "load factor of the weight", "force on the "
+FACTOR = "load factor of the weight"
 
 
 def forming(
@@ -165,7 +166,8 @@ def formed_between_tools(
         own = free_mesh.own_mesh(file.mesh, orientation, file.mesh_scale)
     outline = free_mesh.outline_of(own) if own else file.outline
     usual = usual_length(outline)
-    layers = stack.layers_of(file, fabric, orientation, outline)
+    plies = stack.layers_of(file, fabric, orientation, outline)
+    layers = with_diaphragm(file, plies)
     _check_layers(layers, size, own)
     outline = stack.outline_of(layers)
     thickness = sum(layer.fabric.thickness for layer in layers)
@@ -177,33 +179,36 @@ def formed_between_tools(
         description += read.description(tools, outline, travel)
     description += blank_from_file(file, own, outline, tools, from_files)
     if not like:
-        check_clearance(tools, from_files, outline, thickness, travel)
+        check_clearance(file, tools, from_files, outline, thickness, travel)
     mirrored = like and like.tools[2]
     mirrored = mirrored or _mirror_planes(file, tools, layers, travel, symmetry)
     mirror, why = mirrored
-    description += stack.described(layers) + why
+    description += stack.described(plies) + stack.cuts(layers) + why
     frame, unknowns = layers[0].orientation if mirror else 0.0, Unknowns()
     sheets = []
     for layer in layers:
         turn = layer.orientation - frame
-        blank = own or _mesh(file.mesh, layer.outline, size, frame, turn, mirror)
+        blank = own or _mesh(file.mesh, layer, size, frame, turn, mirror)
         sheets.append(unknowns.sheet(blank, layer.fabric, 3, frame, layer.name))
     tools_in_frame = [_in_frame(tool, frame, blank) for tool in tools]
     for tool in tools_in_frame:
         unknowns.add(tool.name, 3 if tool.tilts else 1)
         if len(tool.forces) > 1:
             unknowns.add(FORCE + tool.name, 1)
-    if file.gravity:
-        unknowns.add(FACTOR, 1)
+    for factor, acts in ((FACTOR, file.gravity), (PRESSURE, file.pressure is not None)):
+        if acts:
+            unknowns.add(factor, 1)
     x0, fixed, drive = unknowns.start(*sheets)
-    fabric = layers[0].fabric if file.plies else fabric
+    fabric = plies[0].fabric if file.plies else fabric
     parameters = {"scene": name} | ({"scene_file": file.source} if file.source else {})
     parameters |= {"orientation": orientation, "law": fabric.name, "size": size, "travel": travel}
     parameters |= {"symmetry": symmetry, "fabric": asdict(fabric), "standings": file.standings}
     if file.plies:
         frictions = dict.fromkeys(stack.assumed_frictions(file), "assumed")
         parameters["standings"] = {**file.standings, **frictions}
-        parameters["plies"] = stack.written(layers)
+        parameters["plies"] = stack.written(plies)
+    if file.diaphragm:
+        parameters["diaphragm"] = asdict(file.diaphragm)
     model = Model(
         name=f"{file.name}-{orientation:g}",
         unknowns=unknowns,
@@ -258,7 +263,7 @@ def _mirror_planes(
     if len(turns) > 1:
         return (), [("the whole blank", "the plies have no mirror plane in common")]
     given = layers[0].orientation, travel, symmetry, layers[0].fabric
-    found = [mirror_planes(file, tools, layer.outline, *given) for layer in layers]
+    found = [mirror_planes(file, tools, layer.outline, layer.slits, *given) for layer in layers]
     planes, why = min(found, key=lambda entry: len(entry[0]))
     if any(set(planes) - set(other) for other, _ in found):
         return (), [("the whole blank", "the plies have no mirror plane in common")]
@@ -268,8 +273,10 @@ def _mirror_planes(
 def _from_files(
     file: SceneFile, thickness: float, outline: shapely.Polygon
 ) -> dict[str, tool_file.ToolFile]:
+    low, high = file.heights(outline, file.travel)
+    deep = max(-low, high)
     return {
-        part.name: tool_file.read(part, outline, file.travel, thickness)
+        part.name: tool_file.read(part, outline, deep, thickness)
         for part in file.tools
         if isinstance(part.shape, SurfaceFile)
     }
@@ -287,7 +294,7 @@ def _tool(
     friction = fabric.friction if part.friction is None else part.friction
     tilts = part.motion == "free" and part.tilt is not False
     loads = part.mass, part.force
-    return Tool(part.name, shape, z, part.motion, friction, *loads, part.place, tilts)
+    return Tool(part.name, shape, z, part.motion, friction, *loads, part.place, tilts, part.stroke)
 
 
 def _in_frame(tool: Tool, frame: float, blank: Blank) -> Tool:
@@ -300,18 +307,20 @@ def _in_frame(tool: Tool, frame: float, blank: Blank) -> Tool:
 
 
 def _mesh(
-    mesh: str | Path, outline: shapely.Polygon, size: float, turn: float, warp: float, mirror: tuple
+    mesh: str | Path, layer: Layer, size: float, turn: float, warp: float, mirror: tuple
 ) -> Blank:
-    outline = shapely.affinity.rotate(outline, -turn, origin=(0, 0))
+    outline = shapely.affinity.rotate(layer.outline, -turn, origin=(0, 0))
     if mesh == "free":
         return free_mesh.triangulate(outline, size, warp)
-    return cut(outline, size, warp, through=((0.0, 0.0),), mirror=mirror)
+    slits = [line @ rotation(turn) for line in layer.slits]
+    return cut(outline, size, warp, through=((0.0, 0.0),), mirror=mirror, slits=slits)
 
 
 def _assemble(model: Model, file: SceneFile, tools: list[Tool], layers: Sequence[Layer]) -> None:
     """Put energies and supports into a model."""
     contacts = _with_tools(model, file, tools, layers)
     weights: list[Term] = _rest(model, contacts, layers)
+    sink(model, file, contacts)
     for contact in contacts:
         if (contact.penetration(model.x0) > contact.sheet.fabric.thickness).any():
             read = model.tools[1].get(contact.tool.name)
@@ -331,13 +340,14 @@ def _assemble(model: Model, file: SceneFile, tools: list[Tool], layers: Sequence
         bending = Bending(sheet, clamped) if blank.pairs is None else PatchBending(sheet)
         bent += bending_terms(bending)
     contacts += _between_nodes(model, contacts)
+    between = stack.between_plies(model, layers) if len(layers) > 1 else []
+    model.sheets.sort(key=lambda sheet: sheet.name == DIAPHRAGM)  # results are those of the plies
     frictions = [Friction(c) for c in contacts if c.tool.friction]
     if not frictions:
         model.description.append(("friction left out", "its coefficient is zero"))
         for sheet in model.sheets:
             keep_middle(model, sheet, file)
-    between = stack.between_plies(model, layers) if len(layers) > 1 else []
-    weights += _sheet_weights(model, file, layers)
+    weights += [*_sheet_weights(model, file, layers), *pressure_on_sheet(model, file)]
     model.resting += sum(g.tension for g in file.grippers)
     model.resting += sum(
         file.gravity * 1e-6 * GRAVITY * sheet.fabric.areal_weight * sheet.blank.areas.sum()
@@ -346,7 +356,7 @@ def _assemble(model: Model, file: SceneFile, tools: list[Tool], layers: Sequence
     pulls = grips(model, file, outline)
     if softened := [term for term in bent if isinstance(term, Softening)]:
         model.description.append((softened[0].name, "moment_warp or moment_weft of the fabric"))
-    membranes = [membrane_of(sheet) for sheet in model.sheets]
+    membranes = membranes_of(model, file)
     model.terms = [*membranes, *bent, *contacts, *frictions, *between, *weights, *pulls]
     let_slip(model)
 
@@ -396,7 +406,7 @@ def _rest(model: Model, contacts: Sequence[Contact], layers: Sequence[Layer]) ->
         tool, dof, sheet = contact.tool, int(contact.tool_dofs[0]), contact.sheet
         x0[dof] = tool.height
         fixed[dof] = tool.motion != "free"
-        model.drive[dof] = -1.0 if tool.motion == "driven" else 0.0
+        drive_tool(model, tool, dof)
         if tool.motion != "free":
             continue
         for axis, plane in enumerate("xy"):
@@ -412,7 +422,7 @@ def _rest(model: Model, contacts: Sequence[Contact], layers: Sequence[Layer]) ->
         load = load_of(tool) * model.share
         constant = load
         if len(tool.forces) > 1:
-            weights.append(_force_over_travel(model, tool, dof))
+            weights.append(force_over_travel(model, tool, dof))
             constant -= tool.forces[0, 1] * model.share
         weights.append(ToolWeight(constant, dof, f"weight of the {tool.name}"))
         model.resting += load
@@ -423,16 +433,6 @@ def _rest(model: Model, contacts: Sequence[Contact], layers: Sequence[Layer]) ->
         if contact.tool.motion == "free":
             x0[contact.tool_dofs[0]] -= (len(layers) + 1) * sunk
     return weights
-
-
-def _force_over_travel(model: Model, tool: Tool, dof: int) -> ToolForce:
-    """Prescribe the force on a tool over the travel, and return its energy."""
-    force = int(model.unknowns[FORCE + tool.name].dofs[0, 0])
-    rows = tool.forces * [1.0, model.share]
-    model.loads[force], model.fixed[force], model.x0[force] = rows, True, rows[0, 1]
-    shown = ", ".join(f"{newton:g} N at {travel:g} mm" for travel, newton in tool.forces)
-    model.description.append((f"{FORCE}{tool.name} over the travel", shown))
-    return ToolForce(dof, force, tool.height, FORCE + tool.name)
 
 
 def _between_nodes(model: Model, contacts: Sequence[Contact]) -> list[Contact]:

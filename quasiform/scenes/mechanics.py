@@ -33,7 +33,7 @@ def check_mechanics(
     travel: float,
 ) -> None:
     """Refuse a scene whose driven tools never meet the sheet, or in which nothing holds it."""
-    if file.gravity or file.grippers:  # the sheet moves by itself
+    if file.gravity or file.grippers or file.diaphragm:  # the sheet moves by itself, or is held
         return
     x0, y0, x1, y1 = outline.bounds
     sheet = f"the sheet lies at x {x0:.4g} to {x1:.4g}, y {y0:.4g} to {y1:.4g} mm"
@@ -41,9 +41,9 @@ def check_mechanics(
     gaps = {}
     for tool in (tool for tool in tools if tool.motion != "free"):
         points = _points(box_of(tool, from_files), outline)
-        gap = _least_gap(tool, points, thickness, travel)
+        gap = _least_gap(tool, points, thickness, travel if file.driven else thickness)
         gaps.setdefault(tool.motion, []).append((gap, tool.name, tool))
-    gap, name, tool = min(gaps["driven"], key=lambda found: found[0])
+    gap, name, tool = min(gaps.get("driven", [(0.0, "pressure", None)]), key=lambda found: found[0])
     if gap > TOUCH * thickness:
         at = position(middle(tool, from_files))
         across = np.ptp(box_of(tool, from_files), axis=0).max() if name in from_files else 0.0
@@ -72,10 +72,10 @@ def _points(box: FloatArray | None, outline: shapely.Polygon) -> FloatArray:
 def _least_gap(tool: Tool, points: FloatArray, thickness: float, travel: float) -> float:
     """Least gap (mm) between a tool and the flat sheet while one of them moves down."""
     least = np.inf
-    for s in np.linspace(0.0, travel, HEIGHTS):
-        z, sunk = (0.5 * thickness, -s) if tool.motion == "driven" else (0.5 * thickness - s, 0.0)
+    for s in (*np.linspace(0.0, travel, HEIGHTS), *tool.turns(travel)):
+        z = 0.5 * thickness - s * (tool.motion != "driven")
         at = np.column_stack([points, np.full(len(points), z)])
-        least = min(least, float(tool.gap(at, sunk).min()) - 0.5 * thickness)
+        least = min(least, float(tool.gap(at, tool.moved(s)).min()) - 0.5 * thickness)
         if least <= 0:
             break
     return least

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import product
 
 import numpy as np
 import shapely
@@ -10,6 +11,7 @@ import shapely
 from ..checks import InputError
 from ..fabric import Fabric
 from ..net.blank import rotation
+from ..net.slits import TINY, mirror_slits
 from ..tools.shapes import Tool
 from ..tools.tool_file import ToolFile, why_tight
 from .scene_file import SceneFile
@@ -23,30 +25,33 @@ ACROSS = {"x": "across the warp", "y": "along the warp"}
 
 
 def check_clearance(
+    file: SceneFile,
     tools: Sequence[Tool],
     from_files: Mapping[str, ToolFile],
     outline: shapely.Polygon,
     thickness: float,
     travel: float,
 ) -> None:
-    """Refuse driven and fixed tools that leave no room for the sheet between them at the end."""
+    """Refuse driven and fixed tools that leave no room for the sheet where they are nearest."""
     low_x, low_y, high_x, high_y = outline.bounds
-    z = np.linspace(-travel, 0.0, 30)
+    z = np.linspace(*file.heights(outline, travel), 30)
     grid = np.meshgrid(np.linspace(low_x, high_x, 60), np.linspace(low_y, high_y, 60), z)
     points = np.stack([c.ravel() for c in grid], axis=1)
     near = max(3 * thickness, 0.01 * max(high_x - low_x, high_y - low_y))  # of the driven tool
-    for driven in (tool for tool in tools if tool.motion == "driven"):
-        for fixed in (tool for tool in tools if tool.motion != "driven"):
-            d = driven.gap(points, -travel)
+    pairs = product(*([t for t in tools if (t.motion == "driven") == so] for so in (True, False)))
+    for driven, fixed in pairs:
+        for s in driven.turns(travel):
+            d = driven.gap(points, driven.moved(s))
             gap = np.maximum(d + fixed.gap(points), 0.0)
             gap[np.abs(d) > near] = np.inf
             at = gap.argmin()
             if gap[at] < thickness * (1 - 1e-9):
                 x, y, height = points[at]
                 why = why_tight(driven, fixed, from_files, thickness)
+                where = "the end of the travel" if s == travel else f"a travel of {s:g} mm"
                 raise InputError(
                     f"{driven.name} and {fixed.name} leave {gap[at]:.2f} mm for a sheet of "
-                    f"{thickness:g} mm between them at the end of the travel, near "
+                    f"{thickness:g} mm between them at {where}, near "
                     f"({x:.0f}, {y:.0f}, {height:.0f}) mm{why}"
                 )
 
@@ -55,6 +60,7 @@ def mirror_planes(
     file: SceneFile,
     tools: Sequence[Tool],
     outline: shapely.Polygon,
+    slits: Sequence[np.ndarray],
     orientation: float,
     travel: float,
     symmetry: str,
@@ -73,10 +79,12 @@ def mirror_planes(
             return (), [("the whole blank", why)]
     along = rotation(orientation)
     outline = shapely.affinity.rotate(outline, -orientation, origin=(0, 0))
+    slits = [line @ along for line in slits]
     bounds = np.array(outline.bounds).reshape(2, 2)
     rng = np.random.default_rng(0)
     flat = rng.uniform(*bounds, (20000, 2))
-    z = rng.uniform(-travel, fabric.thickness, len(flat))
+    low, high = file.heights(outline, travel)
+    z = rng.uniform(low, high + fabric.thickness, len(flat))
     planes: list[str] = []
     within, allowed = 0.0, NEARLY * fabric.thickness
     broken: list[str] = []
@@ -86,6 +94,9 @@ def mirror_planes(
         mirrored = shapely.affinity.scale(outline, *flip, origin=(0, 0))
         if outline.symmetric_difference(mirrored).area > 1e-6 * outline.area:
             broken.append(f"{ACROSS[name]} the outline differs")
+            continue
+        if not mirror_slits(slits, axis, TINY * np.ptp(bounds)):
+            broken.append(f"{ACROSS[name]} the slits differ, or one lies on it")
             continue
         sides = [np.column_stack([points @ along.T, z]) for points in (flat, flat * flip)]
         off = {tool.name: _off_mirror(tool, sides, travel, fabric.thickness) for tool in tools}
@@ -113,10 +124,12 @@ def _off_mirror(tool: Tool, sides: Sequence[np.ndarray], travel: float, thicknes
 
     `sides` are points (n, 3) and their images.
     """
-    sunk = -travel if tool.motion == "driven" else 0.0
-    d = [tool.gap(points, sunk) for points in sides]
-    near = np.minimum(*np.abs(d)) < 2 * thickness
-    return float(np.abs(d[0] - d[1])[near].max(initial=0.0))
+    off = 0.0
+    for s in tool.turns(travel):
+        d = [tool.gap(points, tool.moved(s)) for points in sides]
+        near = np.minimum(*np.abs(d)) < 2 * thickness
+        off = max(off, float(np.abs(d[0] - d[1])[near].max(initial=0.0)))
+    return off
 
 
 def smallest_radius(tool: Tool, from_files: Mapping[str, ToolFile]) -> float:

@@ -20,6 +20,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import (
     AfterValidator,
+    BeforeValidator,
     Discriminator,
     Field,
     StrictBool,
@@ -36,28 +37,30 @@ from ..recipe import checksums
 from ..schema import LARGEST, OPEN, Table, checked, number, path, vector
 from ..toml_file import read_toml, toml_text, without_format
 from ..tools.part import SHAPES, Form, ToolPart
-from ..tools.shapes import FAR
+from ..tools.shapes import FAR, Rows
 from ..tools.surface_file import SurfaceFile
 from .overrides import merged, overridden
 from .scene_parts import (
     MOTIONS,
     OUTWARDS,
     REGION,
+    ElasticSheet,
     Gripper,
     Ply,
     Region,
     SceneFile,
+    Slit,
     Support,
     Where,
 )
 
 __all__ = [
-    *("Form", "Gripper", "Ply", "Region", "SceneFile", "Support", "SurfaceFile", "ToolPart"),
-    "Where",
+    *("Form", "Gripper", "Ply", "Region", "SceneFile", "Slit", "Support", "SurfaceFile"),
+    *("ToolPart", "Where"),
 ]
 _PACKAGED = Path(__file__).parents[1] / "geometries"
 FOLDER = _PACKAGED if _PACKAGED.is_dir() else Path(__file__).parents[2] / "geometries"
-OF_A_TOOL = ("friction", "mass", "force", "z", "place", "tilt")
+OF_A_TOOL = ("friction", "mass", "force", "z", "place", "tilt", "stroke")
 OF_A_FILE = ("scale", "flip", "rotate", "origin", "spacing", "offset")
 MOST_ROWS = 10_000
 LENGTHS = {  # of the shapes, mm
@@ -124,12 +127,16 @@ def _union(
     base: type[Table], kinds: dict[str, tuple], most: float, made: Callable, *others: Any
 ) -> Any:
     """Type of a table with a shape: one model for each, and what is `made` of it."""
+    named = base is not _Cut  # else its keys tell
     models = list(others)
     for kind, (_, names) in kinds.items():
         keys = {key: KEYS.get(key) or (number(LENGTHS[key], "mm", most=most), ...) for key in names}
-        model = create_model(kind, __base__=base, shape=(Literal[kind], ...), **keys)
+        model = create_model(
+            kind, __base__=base, shape=(Literal[kind], ... if named else kind), **keys
+        )
         models.append(Annotated[model, Tag(kind)])
-    which = tool_shape if kinds is SHAPES else shape
+    which = shape if named else cut_shape
+    which = tool_shape if kinds is SHAPES else which
     return Annotated[reduce(or_, models), Discriminator(which), AfterValidator(made)]
 
 
@@ -140,6 +147,13 @@ def shape(table: Any) -> str | None:
     mesh = table.get("mesh")
     own = isinstance(mesh, str) and "." in mesh and "shape" not in table
     return "(own mesh)" if own else str(table.get("shape"))
+
+
+def cut_shape(table: Any) -> str | None:
+    """Which model a hole or a dart has: without a shape, that with its points or its file."""
+    if isinstance(table, Mapping) and "shape" not in table:
+        return "polygon" if "points" in table else "file" if "file" in table else str(None)
+    return shape(table)
 
 
 def tool_shape(table: Any) -> str | None:
@@ -166,30 +180,66 @@ class _Region(Table):
 
 def _region(table: Any) -> Region:
     values = tuple(getattr(table, key) for key in REGION[table.shape][1])
-    region = Region(table.shape, values, table.centre, tuple(getattr(table, "holes", ())))
-    _ = region.polygon  # refuses what encloses no area
+    cuts = {key: tuple(getattr(table, key, ())) for key in ("holes", "darts", "slits")}
+    region = Region(table.shape, values, table.centre, **cuts)
+    _ = region.loops if isinstance(table, _Cut) else region.lines  # refuses what is none
     return region
 
 
-HOLES = {kind: keys for kind, keys in REGION.items() if kind != "file"}
+class _Cut(_Region):
+    pass
 
 
-class _Blank(_Sheet, _Region):
+class _Slit(Table):
+    points: KEYS["points"][0] = OPEN
+    file: path("Drawing or table of the lines") = OPEN
+    scale: KEYS["scale"][0] = 1.0
+    layer: KEYS["layer"][0] = OPEN
+    centre: POINT = (0.0, 0.0)
+
+
+def _slit(table: _Slit) -> Slit:
+    if (table.points is None) == (table.file is None):
+        raise InputError("give points or a file")
+    if table.file is None and table.model_fields_set & {"scale", "layer"}:
+        raise InputError("scale and layer go with a file")
+    slit = Slit(table.points or (), table.file, table.scale, table.layer, table.centre)
+    _ = slit.lines  # refuses what is none
+    return slit
+
+
+def _several(made: Any) -> Any:
+    """Type of a list of tables; one alone may stand for it."""
+
+    def listed(value: Any) -> Any:
+        return [value] if isinstance(value, Mapping) else value
+
+    return Annotated[list[made], BeforeValidator(listed, json_schema_input_type=list[made] | made)]
+
+
+_CUT = _union(_Cut, REGION, LARGEST, _region)
+_SLIT = Annotated[_Slit, AfterValidator(_slit)]
+
+
+class _Outline(_Region):
+    holes: _several(_CUT) = []  # noqa: RUF012
+    darts: _several(_CUT) = []  # noqa: RUF012
+    slits: _several(_SLIT) = []  # noqa: RUF012
+
+
+class _Blank(_Sheet, _Outline):
     mesh: checked(_mesh, enum=["fibre", "free"], description="Along the fibres, or free") = "fibre"
-    holes: list[_union(_Region, HOLES, LARGEST, _region)] = []  # noqa: RUF012
 
 
 def _blank(table: _Blank | _OwnMesh) -> dict[str, Any]:
     """What it is in a `SceneFile`."""
     own = isinstance(table, _OwnMesh)
+    if not own and table.slits and table.mesh != "fibre":
+        raise InputError("slits need mesh = 'fibre'")
     if not own and table.mesh_scale is not None:
         raise InputError("mesh_scale goes with a mesh from a file")
     sheet = table.model_dump(include={"orientation", "size", "mesh"})
     return sheet | {"blank": None if own else _region(table), "mesh_scale": table.mesh_scale or 1.0}
-
-
-class _Outline(_Region):
-    holes: list[_union(_Region, HOLES, LARGEST, _region)] = []  # noqa: RUF012
 
 
 class _Ply(Table):
@@ -211,6 +261,25 @@ def _ply(number: int, table: _Ply, law: str | Fabric, folder: Path) -> Ply:
     return Ply(law=own, **{key: getattr(table, key) for key in keys})
 
 
+class _Diaphragm(Table):
+    modulus: number("Young's modulus", "MPa")
+    thickness: number("Thickness without stress", "mm")
+    poisson: number("Poisson's ratio", "1", most=0.5) = 0.5
+    prestretch: number("Stretch of its flat outline", "1", most=10.0) = 1.0
+    side: _word("On which side of the plies", "above", "under") = "above"
+    clamped: _flag("Whether its edge is clamped") = True
+    friction: number("Coulomb coefficient with the plies", "1", zero=True) = OPEN
+    blank: _union(_Outline, REGION, LARGEST, _region) = OPEN
+
+
+def _diaphragm(table: _Diaphragm) -> ElasticSheet:
+    if table.prestretch < 1.0:
+        raise InputError(f"prestretch must be at least 1, got {table.prestretch:g}")
+    if table.prestretch > 1.0 and not table.clamped:
+        raise InputError("prestretch needs clamped = true")
+    return ElasticSheet(**{key: getattr(table, key) for key in _Diaphragm.model_fields})
+
+
 # Tools
 
 
@@ -220,6 +289,9 @@ class _Tool(Table):
     friction: number("Coulomb coefficient; the fabric's if left out", "1", zero=True) = OPEN
     mass: number("Mass that rests on the sheet", "kg", zero=True) = 0.0
     force: number("Force on the sheet beside the weight", "N", zero=True, over="mm") = 0.0
+    stroke: number("Way down over the travel, of a driven tool", "mm", signed=True, over="mm") = (
+        OPEN
+    )
     z: number("Height; where it touches the sheet if left out", "mm", signed=True) = OPEN
     place: PLACE = (0.0, 0.0)
     tilt: _flag("Whether a free tool may tilt") = OPEN
@@ -251,6 +323,10 @@ def _part(table: _Tool) -> ToolPart:
         raise InputError("a free tool needs a mass or a force, over the whole travel")
     if motion != "free" and table.model_fields_set & {"mass", "force", "tilt"}:
         raise InputError("mass, force and tilt belong to a tool with motion = 'free'")
+    if part.stroke is not None and motion != "driven":
+        raise InputError("stroke belongs to a tool with motion = 'driven'")
+    if isinstance(part.stroke, tuple) and part.stroke[0][1]:
+        raise InputError(f"stroke must start at 0 mm, got {part.stroke[0][1]:g}")
     return part
 
 
@@ -359,16 +435,18 @@ class Scene(Table):
     """
 
     name: StrictStr = OPEN
-    travel: number("Travel of the driven tools from first touch", "mm")
+    travel: number("Travel of the driven tools from first touch, or path of a pressure", "mm")
     law: checked(_law, type="string", description="Preset, or path of a material file") = "locking"
     fabric: Annotated[dict[str, Any], Field(description="Keys that replace those of `law`")] = OPEN
     gravity: _flag("Whether the sheet's own weight acts") = False
+    pressure: number("On the upper face; a number rises from 0", "MPa", zero=True, over="mm") = OPEN
     symmetry: _word("Whether mirror planes are used", "auto", "half", "none") = "auto"
     blank: _union(_Blank, REGION, LARGEST, _blank, _OWN_MESH)
     tools: dict[str, _union(_Tool, SHAPES, FAR_OFF, _part, _FROM_FILE)]
     supports: list[Annotated[_Support, AfterValidator(_support)]] = []  # noqa: RUF012
     grippers: list[Annotated[_Gripper, AfterValidator(_gripper)]] = []  # noqa: RUF012
     plies: Annotated[list[_Ply], Field(description="Layers, from the punch down")] = []  # noqa: RUF012
+    diaphragm: Annotated[_Diaphragm, AfterValidator(_diaphragm)] = OPEN
     areas: dict[str, _Area] = {}  # noqa: RUF012
     increments: _Increments = _Increments()
     outputs: _Outputs = _Outputs()
@@ -378,8 +456,10 @@ class Scene(Table):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         check_increments(self.travel, **self.increments.model_dump())
-        if not any(tool.motion == "driven" for tool in self.tools.values()):
-            raise InputError("no tool is driven: one of [tools] needs role = 'punch'")
+        driven = any(tool.motion == "driven" for tool in self.tools.values())
+        if not driven and (self.pressure is None or not self.tools):
+            words = "one of [tools] needs role = 'punch', or the scene a tool and a pressure"
+            raise InputError(f"no tool is driven: {words}")
         return self
 
 
@@ -393,9 +473,6 @@ def check_increments(travel: float, **increments: float | None) -> None:
 
 NOT_POSSIBLE = {  # keys that people try: what is possible instead
     "layers": "layers are given as [[plies]], from the punch down",
-    "slits": "cuts that open are not modelled; holes and notches are",
-    "pressure": "a pressure on the sheet is not modelled; a holder's force is",
-    "diaphragm": "diaphragms are not modelled",
     "temperature": "the fabric is dry and cold: no matrix, no temperature",
 }
 
@@ -423,20 +500,25 @@ def _scene(table: dict[str, Any], folder: Path, stem: str) -> SceneFile:
     file = SceneFile(
         name=stem if scene.name is None else scene.name,
         tools=tuple(
-            replace(part, name="blank holder" if name == "holder" else name)
+            replace(
+                part,
+                name="blank holder" if name == "holder" else name,
+                stroke=over_travel(part.stroke, scene.travel),
+            )
             for name, part in scene.tools.items()
         ),
         law=law,
         supports=tuple(scene.supports),
         grippers=tuple(scene.grippers),
         plies=tuple(_ply(k, ply, law, folder) for k, ply in enumerate(scene.plies, 1)),
+        diaphragm=scene.diaphragm,
         areas={name: (area.centre, area.radius) for name, area in scene.areas.items()},
         increment=scene.increments.largest,
         rows=scene.increments.rows,
         outputs=scene.outputs.model_dump(),
         run={} if scene.run is None else _without_none(scene.run.model_dump()),
         standings=schema.standings(table),
-        **scene.model_dump(include={"travel", "gravity", "symmetry"}),
+        **scene.model_dump(include={"travel", "gravity", "symmetry", "pressure"}),
         **scene.blank,
     )
     for name, digest in (checksums(file.files()) if scene.files else {}).items():
@@ -444,6 +526,11 @@ def _scene(table: dict[str, Any], folder: Path, stem: str) -> SceneFile:
             words = "has changed since this scene was written; remove [files] to use it as it is"
             raise InputError(f"{name} {words}")
     return file
+
+
+def over_travel(value: float | Rows | None, travel: float) -> Rows | None:
+    """Rows over the travel of a value, which rises from zero to the end where it is a number."""
+    return ((0.0, 0.0), (travel, value)) if isinstance(value, float) else value
 
 
 def _fabric(table: dict[str, Any], law: str | Fabric, where: str = "[fabric]") -> Fabric:
@@ -528,7 +615,7 @@ def scene_toml(file: SceneFile) -> str:
     blank = _region_table(file.blank) if file.blank else {"mesh_scale": file.mesh_scale}
     blank |= {"orientation": file.orientation, "size": file.size, "mesh": file.mesh}
     tools = {"holder" if t.name == "blank holder" else t.name: _tool_table(t) for t in file.tools}
-    settings = ("name", "travel", "law", "gravity", "symmetry")
+    settings = ("name", "travel", "law", "gravity", "pressure", "symmetry")
     given = {"largest": file.increment, "rows": file.rows}
     table = {key: getattr(file, key) for key in settings} | {
         "blank": blank,
@@ -536,6 +623,7 @@ def scene_toml(file: SceneFile) -> str:
         "supports": [_edge_table(support) for support in file.supports],
         "grippers": [_edge_table(gripper) for gripper in file.grippers],
         **({"plies": [_ply_table(ply) for ply in file.plies]} if file.plies else {}),
+        **({"diaphragm": _outlined(file.diaphragm)} if file.diaphragm else {}),
         "areas": {name: {"centre": c, "radius": r} for name, (c, r) in file.areas.items()},
         **({"increments": given} if any(given.values()) else {}),
         "outputs": dict(file.outputs),
@@ -551,13 +639,28 @@ def scene_toml(file: SceneFile) -> str:
 
 def _region_table(region: Region) -> dict[str, Any]:
     keys = dict(zip(REGION[region.shape][1], region.parameters, strict=True))
-    holes = {"holes": [_region_table(hole) for hole in region.holes]} if region.holes else {}
-    return {"shape": region.shape, **keys, "centre": region.centre, **holes}
+    cuts = {
+        "holes": [_region_table(hole) for hole in region.holes],
+        "darts": [_region_table(dart) for dart in region.darts],
+        "slits": [_slit_table(slit) for slit in region.slits],
+    }
+    cuts = {key: tables for key, tables in cuts.items() if tables}
+    return {"shape": region.shape, **keys, "centre": region.centre, **cuts}
+
+
+def _slit_table(slit: Slit) -> dict[str, Any]:
+    if slit.file is None:
+        return {"points": slit.points, "centre": slit.centre}
+    return {key: getattr(slit, key) for key in ("file", "scale", "layer", "centre")}
+
+
+def _outlined(part: Ply | ElasticSheet) -> dict[str, Any]:
+    own = {"blank": _region_table(part.blank)} if part.blank else {}
+    return {key: value for key, value in vars(part).items() if key != "blank"} | own
 
 
 def _ply_table(ply: Ply) -> dict[str, Any]:
-    table: dict[str, Any] = {k: v for k, v in vars(ply).items() if k not in ("law", "blank")}
-    table |= {"blank": _region_table(ply.blank)} if ply.blank else {}
+    table = {key: value for key, value in _outlined(ply).items() if key != "law"}
     if isinstance(ply.law, Fabric):
         return table | {"fabric": ply.law.written()}
     return table | {"law": Path(ply.law) if ply.law and ply.law.endswith(".toml") else ply.law}
@@ -572,7 +675,8 @@ def _tool_table(part: ToolPart) -> dict[str, Any]:
         table = {"file": geometry.path} | {key: getattr(geometry, key) for key in OF_A_FILE}
     else:
         raise InputError(f"{part.name}: a shape of your own cannot be written to a file")
-    keys = [k for k in OF_A_TOOL if part.motion == "free" or k not in ("mass", "force", "tilt")]
+    others = ("stroke",) if part.motion == "free" else ("mass", "force", "tilt")
+    keys = [key for key in OF_A_TOOL if key not in others]
     table |= {"role": part.role, "motion": part.motion}
     return table | {key: getattr(part, key) for key in keys}
 

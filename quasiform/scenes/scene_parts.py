@@ -11,9 +11,12 @@ from typing import Any
 import numpy as np
 import shapely
 
+from ..checks import InputError
 from ..fabric import Fabric
 from ..net import outline as outlines
+from ..net.slits import check_slits
 from ..tools.part import ToolPart
+from ..tools.shapes import Rows
 
 Point = tuple[float, float]
 REGION: dict[str, tuple[Callable[..., shapely.Polygon], tuple[str, ...]]] = {
@@ -27,13 +30,37 @@ MOTIONS = {"punch": "driven", "die": "fixed", "holder": "free"}
 
 
 @dataclass(frozen=True)
+class Slit:
+    """Open lines along which the flat sheet is cut: one through points, or those of a file."""
+
+    points: tuple[Point, ...] = ()  # mm
+    file: Path | None = None
+    scale: float = 1.0  # mm per unit of the file
+    layer: str | None = None  # of a drawing
+    centre: Point = (0.0, 0.0)  # by how much they are moved, mm
+
+    @cached_property
+    def lines(self) -> list[np.ndarray]:
+        """(k, 2) points of each, mm; InputError for what is no line."""
+        lines = [np.array(self.points, dtype=float).reshape(-1, 2)]
+        if self.file is not None:
+            lines = outlines.read_lines(self.file, self.scale, self.layer)
+        for line in lines:
+            if len(line) < 2 or not np.ptp(line, axis=0).any():
+                raise InputError("a slit needs two different points")
+        return [line + self.centre for line in lines]
+
+
+@dataclass(frozen=True)
 class Region:
-    """An area of the flat sheet with its holes."""
+    """An area of the flat sheet with what is cut out of it and into it."""
 
     shape: str  # a key of REGION
     parameters: tuple[Any, ...]  # in the order of REGION: numbers in mm, corners, a path
     centre: Point = (0.0, 0.0)  # by how much it is moved, mm
     holes: tuple[Region, ...] = ()
+    darts: tuple[Region, ...] = ()  # as holes; they may cross the edge
+    slits: tuple[Slit, ...] = ()
 
     @staticmethod
     def of(polygon: shapely.Polygon) -> Region:
@@ -54,7 +81,31 @@ class Region:
     def polygon(self) -> shapely.Polygon:
         """The area, mm; InputError if it has none, crosses itself, or a hole is not inside."""
         moved = shapely.affinity.translate(self.drawing.polygon, *self.centre)
-        return outlines.with_holes(moved, [hole.polygon for hole in self.holes])
+        for name, cuts in (("hole", self.holes), ("dart", self.darts)):
+            loops = [loop for cut in cuts for loop in cut.loops]
+            moved = outlines.with_holes(moved, loops, name)
+        return moved
+
+    @cached_property
+    def loops(self) -> list[shapely.Polygon]:
+        """As a hole: its area, or those of all closed lines of a file; mm."""
+        if self.shape != "file":
+            return [self.polygon]
+        loops = outlines.read_loops(*self.parameters)
+        return [shapely.affinity.translate(loop, *self.centre) for loop in loops]
+
+    @cached_property
+    def lines(self) -> list[np.ndarray]:
+        """(k, 2) points of its slits, mm; InputError if one is outside, or divides it."""
+        lines = [line for slit in self.slits for line in slit.lines]
+        check_slits(self.polygon, lines)
+        return lines
+
+    def files(self) -> list[Any]:
+        """Paths that it names, among its other parameters."""
+        cuts = [*self.holes, *self.darts]
+        inner = [part for cut in cuts for part in cut.parameters]
+        return [*self.parameters, *inner, *(slit.file for slit in self.slits)]
 
 
 @dataclass(frozen=True)
@@ -114,12 +165,26 @@ class Ply:
 
 
 @dataclass(frozen=True)
+class ElasticSheet:
+    """A diaphragm, which lies over the plies or under them."""
+
+    modulus: float  # Young's modulus, MPa
+    thickness: float  # without stress, mm
+    poisson: float = 0.5
+    prestretch: float = 1.0  # of its flat outline
+    side: str = "above"
+    clamped: bool = True  # whether its edge is
+    friction: float | None = None  # Coulomb coefficient with the plies
+    blank: Region | None = None  # its outline; None: that of the plies, enlarged
+
+
+@dataclass(frozen=True)
 class SceneFile:
     """A forming scene as it is written down."""
 
     name: str
     blank: Region | None  # the flat sheet; None where the user's own mesh brings its outline
-    travel: float  # of the driven tools, from first touch, mm
+    travel: float  # of the driven tools, from first touch, mm; without them a path of the loads
     tools: tuple[ToolPart, ...]
     orientation: float = 0.0  # angle of the warp to x, degrees
     size: float | None = None  # spacing of the fibre lines, mm
@@ -127,9 +192,11 @@ class SceneFile:
     mesh_scale: float = 1.0  # mm
     law: str | Fabric = "locking"  # a preset, the path of a material file, or the fabric itself
     gravity: bool = False  # whether the sheet's own weight acts
+    pressure: float | Rows | None = None  # on the upper face, MPa; rows: over the travel, mm
     supports: tuple[Support, ...] = ()
     grippers: tuple[Gripper, ...] = ()
     plies: tuple[Ply, ...] = ()  # from the punch down; none: one sheet
+    diaphragm: ElasticSheet | None = None
     areas: Mapping[str, tuple[Point, float]] = field(default_factory=dict, hash=False)  # discs, mm
     symmetry: str = "auto"  # or "none"
     increment: float | None = None  # largest increment of the travel, mm; None: `usual_length`
@@ -146,15 +213,41 @@ class SceneFile:
             object.__setattr__(self, name, tuple(getattr(self, name)))
 
     @property
+    def driven(self) -> bool:
+        """Whether a tool is driven."""
+        return any(tool.motion == "driven" for tool in self.tools)
+
+    @property
+    def pressures(self) -> np.ndarray:
+        """(n, 2) travel, mm, and pressure, MPa; a constant one rises from zero to the end."""
+        p = self.pressure
+        return np.array(p if isinstance(p, tuple) else [(0.0, 0.0), (self.travel, p or 0.0)])
+
+    def heights(self, outline: shapely.Polygon, travel: float) -> tuple[float, float]:
+        """Between which heights the sheet may be, mm, by its tools, or half of the blank down."""
+        strokes = [part.stroke for part in self.tools if part.motion == "driven"]
+        ends = [0.0, *(-mm for rows in strokes for _, mm in rows or ((0.0, travel),))]
+        if not strokes:
+            ends.append(
+                -max(travel, 0.5 * float(np.ptp(np.reshape(outline.bounds, (2, 2)), 0).max()))
+            )
+        return min(ends), max(ends)
+
+    @property
     def outline(self) -> shapely.Polygon:
         """The flat blank with its holes, mm; empty where the mesh is the user's own."""
         return self.blank.polygon if self.blank else shapely.Polygon()
 
+    @property
+    def slits(self) -> list[np.ndarray]:
+        """Lines (k, 2) along which the flat blank is cut, mm."""
+        return self.blank.lines if self.blank else []
+
     def files(self) -> list[Path]:
         """All files that the scene names: meshes, outlines and surfaces of tools."""
         named: list[Any] = [self.mesh, *(tool.geometry for tool in self.tools)]
-        for blank in (self.blank, *(ply.blank for ply in self.plies)):
-            named += blank.parameters if blank else ()
+        for blank in (self.blank, *(part.blank for part in (*self.plies, self.diaphragm) if part)):
+            named += blank.files() if blank else ()
         named = [getattr(part, "path", part) for part in named]
         return [part for part in named if isinstance(part, Path)]
 

@@ -22,6 +22,7 @@ from ..energy.plies import PlyContact, PlyFriction
 from ..energy.term import Term
 from ..fabric import Fabric, fabric_of
 from ..model import Model
+from ..net.slits import as_lines
 from .scene_parts import SceneFile
 
 FRICTION = 0.3  # of ply on ply, where the scene gives none (assumed: no public value was found)
@@ -39,6 +40,7 @@ class Layer:
     fabric: Fabric
     friction: float  # with the layer above it
     plies: tuple[int, ...]  # their numbers in the scene, from 1 on; none: the scene has one sheet
+    slits: tuple[np.ndarray, ...] = ()  # lines (k, 2) along which it is cut, mm
 
 
 def layers_of(
@@ -46,12 +48,13 @@ def layers_of(
 ) -> list[Layer]:
     """Layers of a scene, from the punch down; InputError for plies that cannot be formed."""
     if not file.plies:
-        return [Layer("sheet", outline, orientation, fabric, 0.0, ())]
+        return [Layer("sheet", outline, orientation, fabric, 0.0, (), tuple(file.slits))]
     _check_possible(file)
     found: list[Layer] = []
     for i, ply in enumerate(file.plies, 1):
         own = ply.blank.polygon if ply.blank else outline
         own = shapely.affinity.translate(own, *ply.offset)
+        slits = tuple(line + ply.offset for line in (ply.blank.lines if ply.blank else file.slits))
         mu = FRICTION if ply.friction is None else ply.friction
         angle = orientation + ply.orientation
         try:
@@ -60,7 +63,7 @@ def layers_of(
             raise InputError(f"[plies {i}] {error}") from error
         if law.slip is not None:
             raise InputError(f"[plies {i}] slip of the rovings is not possible with several plies")
-        layer = Layer("", own, angle, law, mu, (i,))
+        layer = Layer("", own, angle, law, mu, (i,), slits)
         found.append(_joined(found.pop(), layer) if ply.joined else layer)
         if len(found) > 1 and not _overlap(found[-1].outline, found[-2].outline):
             raise InputError(f"[plies {i}] does not overlap the ply above it")
@@ -89,8 +92,10 @@ def _joined(above: Layer, layer: Layer) -> Layer:
     same = above.fabric == joined(layer.fabric, len(above.plies))
     turned = (layer.orientation - above.orientation) % 360.0
     differ = layer.outline.symmetric_difference(above.outline).area > EPS * layer.outline.area
-    if not same or turned or differ:
+    cut = not as_lines(layer.slits).equals(as_lines(above.slits))
+    if not same or turned or differ or cut:
         what = "fabric" if not same else "orientation" if turned else "outline"
+        what = "slit" if what == "outline" and not differ else what
         raise InputError(
             f"[plies {layer.plies[0]}] joined: it has another {what} than the ply above it; only "
             "identical plies can be joined"
@@ -184,6 +189,16 @@ def described(layers: Sequence[Layer]) -> list[tuple[str, str]]:
         why = "warp and weft of the plies do not run alike: much slower, and it may stop early"
         lines.append(("plies at an angle to each other", why))
     return lines
+
+
+def cuts(layers: Sequence[Layer]) -> list[tuple[str, str]]:
+    """Lines of the model about slits; none without."""
+    words = []
+    for layer in layers:
+        if layer.slits:
+            at = f" in {layer.name}" * bool(layer.plies)
+            words.append(f"{len(layer.slits)}{at}, {as_lines(layer.slits).length:.4g} mm long")
+    return [("slits", f"{'; '.join(words)}: both edges part, without contact")] if words else []
 
 
 def written(layers: Sequence[Layer]) -> list[dict[str, Any]]:

@@ -16,7 +16,7 @@ import numpy as np
 from ..checks import InputError
 from ..energy.term import Standing
 from ..model import Model
-from ..net.transfer import smoothly
+from ..net.transfer import beside_slits, smoothly
 from ..potential import Memory
 from ..result.run import Result, State
 from ..unknowns import Field, FloatArray
@@ -50,6 +50,8 @@ def carry(source: Result, model: Model, settings: Settings, saddles: bool = True
         if end > row.travel:
             x = x - step / (end - row.travel) * (x - before)
         equations.travel = end - step
+        if model.strokes:
+            equations.peak = max(abs(state.force) for state in path.states) * model.share
         x = np.where(model.fixed, model.prescribed(end - step)[0], x)
         run.memory = carried(source, model, last, x, before)
         equations.take(run.memory)
@@ -85,7 +87,12 @@ def transferred(coarse: Result, model: Model, last: FloatArray) -> tuple[FloatAr
             x[field.dofs], dx[field.dofs] = theirs.of(end.x), theirs.of(last)
             continue
         both = np.hstack([theirs.of(end.x) - theirs.of(old.x0), theirs.of(last)])
-        moved, increment = np.hsplit(smoothly(theirs.places, both, field.places), 2)
+        found = smoothly(theirs.places, both, field.places)
+        for their_sheet, sheet in zip(old.sheets, model.sheets, strict=True):
+            if field.places is sheet.blank.nodes:
+                near, beside = beside_slits(their_sheet.blank, both, sheet.blank)
+                found[near] = beside
+        moved, increment = np.hsplit(found, 2)
         x[field.dofs] += moved
         dx[field.dofs] = np.where(model.fixed[field.dofs], 0.0, increment)
     x = np.where(model.fixed, model.prescribed(end.travel)[0], x)

@@ -13,13 +13,16 @@ from ..energy.bending import Bending
 from ..fabric import Fabric
 from ..result.run import Result
 from .carry import carry
-from .increments import Callback, follow, report
+from .increments import Callback, Progress, follow, report
 from .linear import NotConvergedError
 from .run import Settings
 
 COARSER, FINER = 1.4, 0.5  # sizes of the other meshes
 HIGHER = 0.01  # more energy on a finer mesh, and its end is another state
 OTHER = 10 / 3  # times the in-plane bending: the other value
+MOST_WORK = (
+    5.0  # times the factorisations of a run: beyond that the same on another mesh is stopped
+)
 LITTLE = 2e-3  # of the energy: what the other value may add without a run of its own
 INTERRUPTED = "interrupted while the error of the mesh was estimated"
 CHANGED = (
@@ -43,7 +46,8 @@ def coarser_run(
     try:
         model = result.model.recipe.build(COARSER * result.model.size, like=result.model)
         within = report(callback, f"error of the mesh: the same at {model.size:.3g} mm")
-        coarse = follow(model, settings, within, partial=False)
+        coarse = follow(model, settings, _bounded(within, result), partial=False)
+        _note_stop(result, coarse)
         result.add_work(coarse)
         if vary and not coarse.reason:
             _vary_in_plane(result, coarse, settings, callback)
@@ -78,7 +82,9 @@ def finer_end(
             if any(state is not None for state in result.memory):
                 result.notes.append(("end not found on a finer mesh", str(error)))
                 return None
-            finer = follow(model, settings, within, partial=False)  # no path to remember
+            # no path to remember
+            finer = follow(model, settings, _bounded(within, result), partial=False)
+            _note_stop(result, finer)
     except InputError:
         return None
     except KeyboardInterrupt:
@@ -93,6 +99,25 @@ def finer_end(
         result.notes.append(("end on a finer mesh is another state", why))
         return None
     return finer
+
+
+def _bounded(callback: Callback | None, result: Result) -> Callback:
+    """A callback that stops a run which takes many times the work of the result itself."""
+    most = MOST_WORK * result.linear_solves
+
+    def step(progress: Progress) -> bool | str | None:
+        stop = callback(progress) if callback else None
+        return stop or (
+            progress.linear_solves > most and f"{MOST_WORK:g} times the work of the run"
+        )
+
+    return step
+
+
+def _note_stop(result: Result, other: Result) -> None:
+    if other.reason:
+        entry = f"the same on a mesh of {other.model.size:.3g} mm did not reach the end"
+        result.notes.append((entry, f"{other.reason}; it is not part of the error of the mesh"))
 
 
 def _vary_in_plane(

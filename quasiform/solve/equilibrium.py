@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..energy.friction import Friction
+from ..energy.slip import SlipResistance
 from ..energy.term import Term, check_term
 from ..model import Model
 from ..potential import Memory, Potential
@@ -37,6 +38,7 @@ class Equilibrium:
     travel: float = 0.0  # where the prescribed unknowns are
     continued: int = 0  # how often they did
     relaxed: int = 0  # iterations of dynamic relaxation so far
+    peak: float = 0.0  # N: largest driving force so far, where tools may go back
     driven: float = np.inf  # mm: longest prescribed motion of a node or a tool in this increment
     memory: Memory = field(init=False)
     foreseen: FloatArray | None = field(init=False, default=None)  # stress, by the last prediction
@@ -58,6 +60,13 @@ class Equilibrium:
     @property
     def remembers(self) -> bool:
         return any(state is not None for state in self.memory)
+
+    @property
+    def turns(self) -> bool:
+        """Whether permanent slip, which turns smoothly with the fibres, is all that is lagged."""
+        states = zip(self.model.terms, self.memory, strict=False)
+        slid = any(isinstance(t, SlipResistance) and s.lost.any() for t, s in states)
+        return slid and not (self.model.contacts or self.model.ply_contacts)
 
     @property
     def loaded(self) -> bool:
@@ -102,7 +111,9 @@ class Equilibrium:
         """Begin an increment from x to `travel`, by which `check_slide` judges."""
         moved = self.model.unknowns.at_nodes()
         moved[[int(contact.tool_dofs[0]) for contact in self.model.contacts]] = True
-        self.driven = float(np.abs(self.motion_to(x, travel)[moved]).max(initial=0.0))
+        motion = np.abs(self.motion_to(x, travel)[moved]).max(initial=0.0)
+        # a pressure may move a sheet however far
+        self.driven = np.inf if self.model.pressed(travel) else float(motion)
 
     def check_slide(self, x: FloatArray) -> None:
         """Raise SlidesOffError where a point has slid along a tool farther than the motion drives.
@@ -162,28 +173,34 @@ class Equilibrium:
         _, rate = self.model.prescribed(self.travel)
         return float(np.where(self.model.fixed, rate, 0.0) @ g)
 
-    def load_work(self, x: FloatArray, moved: FloatArray) -> float:
-        """Work of the change of loads from x to another state, mJ, by the trapezoidal rule."""
-        loads = list(self.model.loads)
-        if not loads:
-            return 0.0
-        g = self.gradient(x) + self.gradient(moved)
-        return float(0.5 * g[loads] @ (moved - x)[loads])
+    def works(self, x: FloatArray, memory: Memory, moved: FloatArray) -> tuple[float, float]:
+        """Work from committed states to the present ones at `moved`, mJ, by the trapezoidal rule.
+
+        That of tools, of prescribed nodes and of pressures, and that of the change of other loads.
+        """
+        g = self.potential.gradient(x, memory) + self.gradient(moved)
+        work = np.where(self.model.fixed, 0.5 * g * (moved - x), 0.0)
+        pressures = [term.dof for term in self.model.pressures]
+        given = float(work[[dof for dof in self.model.loads if dof not in pressures]].sum())
+        return float(work.sum()) - given, given
 
     def residual(
         self, g: FloatArray, certified: bool = False, driven: FloatArray | None = None
     ) -> float:
         """Sum of the free nodal forces relative to the driving force, or to the dead load.
 
-        The driving force is that of g, or of another gradient `driven`. Before it has grown to 2 %
-        of a resting tool's weight the residual is measured against that, unless `certified`.
+        The driving force is that of g, or of another gradient `driven`, or that of a pressure if
+        it is larger. Before it has grown to 2 % of a resting tool's weight the residual is measured
+        against that, unless `certified`; where tools go back, against their largest force so far.
         """
         model = self.model
         total = model.unknowns.norm(np.where(model.fixed, 0.0, g))
         if model.dead_load:
             return total / model.dead_load
         floor = self.least_force if certified else 0.02 * model.resting + self.least_force
-        return total / max(abs(self.force(g if driven is None else driven)), floor)
+        floor += self.peak * (1.0 if certified else 0.02)
+        force = abs(self.force(g if driven is None else driven))
+        return total / max(force, model.pressed(self.travel), floor)
 
     @property
     def at_end(self) -> bool:

@@ -147,7 +147,8 @@ class _Steps:
     def take(self) -> str:
         """Take one increment, or shorten the next; the reason why there is no way on."""
         run, model, s, step = self.run, self.run.model, self.run.travel, self.next
-        goal = float(min(self.rows * np.floor(s / self.rows * (1 + 1e-12) + 1), model.travel))
+        stage = model.next_stage(s)
+        goal = float(min(self.rows * np.floor(s / self.rows * (1 + 1e-12) + 1), stage))
         self.target = goal if s + step * (1 + 1e-6) >= goal else s + step
         tangent = run.equations.tangent
         before = tangent.counts.copy()
@@ -167,6 +168,8 @@ class _Steps:
         solves = tangent.factorisations - before.total()
         if solves <= 200:  # a snap takes as many at any step
             self.next = min((2.0 if solves <= 30 else 1.5) * step, self.largest)
+        if self.target == stage < model.travel:  # what comes next may be as curved as the start
+            self.next = self.largest / 16
         if self.target == goal or model.every:
             run.keep()
         if lost := model.lost(run.x):

@@ -266,4 +266,7 @@ def _json(content: Any) -> str:
 def _counted(run: Run) -> tuple[tuple[Any, tuple[str, ...]], ...]:
     """Objects of a run beside its account, and what of them goes into a checkpoint."""
     of_tangent = "counts", "convex_taken"
-    return (run.equations, ("continued", "relaxed", "travel")), (run.equations.tangent, of_tangent)
+    return (run.equations, ("continued", "relaxed", "travel", "peak")), (
+        run.equations.tangent,
+        of_tangent,
+    )

@@ -28,7 +28,7 @@ from ..unknowns import FloatArray
 from .equilibrium import Equilibrium
 from .linear import NotConvergedError
 
-DAMPED = 0.25  # of a change of the normal forces is taken over where plies meet: more oscillates
+LEAST_SHARE = 0.1  # of a change of the normal forces that is taken over where plies meet
 FURTHER = 2  # steps of one factor after a whole step
 
 
@@ -71,7 +71,7 @@ def minimise(
         if stress is not None:
             tangent.forget()  # no tangent of this state
         stress = _foresee(equations, before, x)
-        if stress is None and np.array_equal(x, before + d):
+        if (stress is None or equations.turns) and np.array_equal(x, before + d):
             x, energy = _further(equations, x, energy, tolerance)
         energies = [*energies[-7:], energy]
         equations.check_slide(x)
@@ -142,7 +142,8 @@ def settle(equations: Equilibrium, x: FloatArray) -> FloatArray:
     fifth of what the last one left, no further. After a snap a sheet may still creep for dozens of
     passes; on the way, the next increment may take over the last of it. Between plies contact is at
     single nodes, whose normal forces answer to friction so strongly that mixing leads astray: there
-    a part of each change is taken over.
+    the share of each change that is taken over follows from the last two changes (Irons and Tuck,
+    Int. J. Numer. Methods Eng. 1 (1969) 275-277).
     """
     mixed, goal = equations.mixed, equations.goal
     # pairs of plies are lagged too: more passes, of which most take one factorisation
@@ -150,9 +151,12 @@ def settle(equations: Equilibrium, x: FloatArray) -> FloatArray:
     passes = 60 if equations.at_end or stack else 12
     inner = max(goal, 0.1) if mixed else goal
     used, fresh = [], []  # lagged values that the state was solved with, and those then found
+    share = 1.0
     for i in range(passes):
         used.append(equations.lagged())
         with equations.tangent.counted_as("friction" if i else "balance"):
+            if i and equations.turns:
+                x, _ = _further(equations, x, equations.energy(x), inner)
             x = minimise(equations, x, inner)
         if not equations.remembers:
             return x
@@ -166,12 +170,15 @@ def settle(equations: Equilibrium, x: FloatArray) -> FloatArray:
             return x
         fresh.append(equations.lagged())
         used, fresh = used[-6:], fresh[-6:]
+        F = np.array(fresh)
+        change = F - np.array(used)
+        steps = np.diff(change, axis=0)
         if stack:
-            equations.lag(used[-1] + DAMPED * (fresh[-1] - used[-1]))
+            if i:
+                best = -share * (change[-2] @ steps[-1]) / max(steps[-1] @ steps[-1], 1e-300)
+                share = float(np.clip(best, LEAST_SHARE, 1.0))
+            equations.lag(used[-1] + share * change[-1])
         elif i > 1:
-            F = np.array(fresh)
-            change = F - np.array(used)
-            steps = np.diff(change, axis=0)
             shares = np.linalg.lstsq(steps.T, change[-1], rcond=1e-6)[0]
             equations.lag(np.maximum(F[-1] - shares @ np.diff(F, axis=0), 0.0))
     raise NotConvergedError(f"friction does not settle in {passes} passes: residual {residual:.1e}")

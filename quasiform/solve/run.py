@@ -74,7 +74,7 @@ class Account:
 
     force: float = 0.0  # driving force at the last state, N
     stored: float = 0.0  # energy there, mJ
-    work: float = 0.0  # done by the travel, mJ
+    work: float = 0.0  # done by the travel, mJ; where tools go back, there and back
     given: float = 0.0  # that of loads: from the flat sheet on, and as they change, mJ
     gap: float = 0.0  # what the balance misses of all this work, mJ
     damped: float = 0.0  # what the rescues took up, mJ
@@ -159,9 +159,8 @@ class Run:
         self.equations.begin(self.x, target)
         moved, memory = self._climb(target, rungs)
         force, stored = self._force_and_energy(moved, memory)
-        work = 0.5 * (account.force + force) * (target - s)
+        work, given = self.equations.works(self.x, self.memory, moved)
         lost = self.equations.potential.dissipated(self.memory, memory, moved)
-        given = self.equations.load_work(self.x, moved)
         gap = work + given - (stored - account.stored) - lost
         # at the end there will be at least the work so far in proportion to the travel
         expected = (abs(account.work) + abs(work)) * self.model.travel / target
@@ -180,6 +179,9 @@ class Run:
         else:
             account.gap += gap
         self.x, self.travel, account.force, account.stored = moved, target, force, stored
+        if self.model.strokes:  # tools that go back give work back
+            self.equations.peak = max(self.equations.peak, abs(force))
+            work = abs(work)
         account.work += work
         account.given += abs(given)
         account.increments += 1
@@ -210,6 +212,8 @@ class Run:
         try:
             with equations.tangent.counted_as("prediction"):
                 x = predict(equations, x, target)
+            if equations.turns:
+                equations.refresh(x)
             return self._solve(self._shaken(x))
         except SlidesOffError as error:
             failed, rungs = error, [("friction stuck first", stuck_first)]

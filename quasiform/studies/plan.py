@@ -255,8 +255,11 @@ def _check_trim(trim: Trim, model: Model) -> None:
 
     optional(*IGL)
     target(trim)
-    if dict(model.recipe.given)["file"].blank is None:
+    file = dict(model.recipe.given)["file"]
+    if file.blank is None:
         raise InputError("[trim] needs a blank with an outline, not one with its own mesh")
+    if file.slits:
+        raise InputError("[trim] is not possible for a blank with slits")
 
 
 def _check_outputs(outputs: Sequence[str], model: Model) -> None:

@@ -69,6 +69,7 @@ class ToolPart:
     z: float | None = None
     place: Point = (0.0, 0.0)
     tilt: bool | None = None
+    stroke: shapes.Rows | None = None
 
     @cached_property
     def shape(self) -> Shape | SurfaceFile:
@@ -76,4 +77,5 @@ class ToolPart:
         if not isinstance(self.geometry, Form):
             return self.geometry
         shape = self.geometry.build()
-        return shapes.flipped(shape) if self.role == "holder" else shape
+        turned = self.role == "holder" or (self.role == "die" and "punch" in self.geometry.shape)
+        return shapes.flipped(shape) if turned else shape

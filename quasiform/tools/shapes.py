@@ -28,7 +28,7 @@ except ImportError:  # the extra `fast` is not installed
 
 FloatArray = np.ndarray
 Distance = tuple[FloatArray, FloatArray, FloatArray]
-Rows = tuple[tuple[float, float], ...]  # travel, mm, and force, N
+Rows = tuple[tuple[float, float], ...]  # travel, mm, and what there is at it
 FAR = 1e4  # mm; half the length of straight tools that have no end
 
 
@@ -397,6 +397,8 @@ class Tool:
         between and constant beyond.
     place : (2,)
         x and y of the shape's origin, mm.
+    stroke : rows (travel, mm), optional
+        How far along -z a driven tool has moved over the travel; as far as the travel without it.
     tilts : bool
         Whether a free tool may also tilt about x and y through its shape's origin, where its
         weight acts.
@@ -411,6 +413,7 @@ class Tool:
     force: float | Rows = 0.0
     place: tuple[float, float] = (0.0, 0.0)
     tilts: bool = False
+    stroke: Rows | None = None
 
     def __post_init__(self) -> None:
         if self.motion not in ("fixed", "driven", "free"):
@@ -430,9 +433,19 @@ class Tool:
         """(n, 2) travel, mm, and force, N, of each row; one row for a constant force."""
         return np.array(self.force if isinstance(self.force, tuple) else [(0.0, self.force)])
 
-    def gap(self, points: FloatArray, travel: float = 0.0) -> FloatArray:
-        """(n,) distances of points (n, 3) from the tool at a travel along z, mm."""
-        return self.shape.distance(points - [*self.place, self.height + travel])[0]
+    def moved(self, travel: float) -> float:
+        """How far it has moved along z at a travel, mm."""
+        if self.motion != "driven":
+            return 0.0
+        return -float(np.interp(travel, *np.transpose(self.stroke)) if self.stroke else travel)
+
+    def turns(self, travel: float) -> list[float]:
+        """Travels up to `travel` at which a driven tool is farthest from where it was, mm."""
+        return sorted({*(s for s, _ in self.stroke or () if s < travel), travel})
+
+    def gap(self, points: FloatArray, moved: float = 0.0) -> FloatArray:
+        """(n,) distances of points (n, 3) from the tool that has moved along z, mm."""
+        return self.shape.distance(points - [*self.place, self.height + moved])[0]
 
 
 def _outer(u: FloatArray, v: FloatArray) -> FloatArray:

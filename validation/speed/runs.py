@@ -59,10 +59,10 @@ def _tension(angle: float, displacement: float) -> Callable[..., qf.Model]:
     return build
 
 
-def _forming(name: str, travel: float) -> Callable[..., qf.Model]:
+def _forming(name: str, travel: float, orientation: float = 0.0) -> Callable[..., qf.Model]:
     def build(size: float, symmetry: str = "auto", mesh: str = "fibre") -> qf.Model:
         file = replace(scene_file.load(name), mesh=mesh)
-        return qf.forming(file, 0.0, size=size, travel=travel, symmetry=symmetry)
+        return qf.forming(file, orientation, size=size, travel=travel, symmetry=symmetry)
 
     return build
 
@@ -97,6 +97,12 @@ def _space(small: float, large: float) -> tuple[tuple[str, tuple[float, ...], tu
         ("free mesh", (10.0, 5.0), (0.0,)),
     )
 
+
+_TURNED = (  # at 45°
+    ("full path", (20.0, 10.0, 5.0), (0.0,)),
+    ("continuation", (5.0,), (0.0,)),
+    ("convex", (10.0,), (0.0,)),
+)
 
 PROBLEMS = {
     "oat-45": Problem(
@@ -134,6 +140,27 @@ PROBLEMS = {
         ("continuation", 5.0),
         1.25,
         _space(2.5, 20.0),
+    ),
+    "hemisphere-45": Problem(
+        "hemisphere 45°, 75 mm",
+        _forming("hemisphere", 75.0, 45.0),
+        ("continuation", 5.0),
+        2.5,
+        _TURNED,
+    ),
+    "box-45": Problem(
+        "box 45°, 20 mm",
+        _forming("box", 20.0, 45.0),
+        ("continuation", 5.0),
+        2.5,
+        _TURNED,
+    ),
+    "tetrahedron-45": Problem(
+        "tetrahedron 45°, 40 mm",
+        _forming("tetrahedron", 40.0, 45.0),
+        ("continuation", 5.0),
+        2.5,
+        _TURNED,
     ),
     "hemisphere-5": Problem(
         "hemisphere 0°, 5 mm",

@@ -50,6 +50,8 @@ UNCERTIFIED = {  # short names of the reasons; the most serious first
     "no pivots": "no pivots",
     "friction follows": "path",
     "wrinkled": "wrinkled",
+    "fibre cuts": "mesh",
+    "too coarse": "mesh",
 }
 SHORT = {
     "default": "default",
