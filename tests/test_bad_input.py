@@ -503,7 +503,7 @@ def changed_plies(draw):
     return scene | plies
 
 
-@cases(0.5)
+@cases(0.25)
 @given(scene=changed_plies())
 def test_plies_with_changed_values_are_built_or_refused(place, scene):
     folder = place()

@@ -1151,8 +1151,8 @@ def test_a_ply_book_has_a_page_a_ply_to_scale(stack, tmp_path):
     text = book.read_text(encoding="utf-8")
     titles = re.findall(r"<h1>(.*)</h1>", text)
     assert titles == ["Ply 1 of 3", "Ply 2 of 3", "Ply 3 of 3"]
-    assert "Under the punch, over ply 2" in text
-    assert "Joined to ply 2, on the die" in text
+    assert "Uppermost, over ply 2" in text
+    assert "Joined to ply 2, lowest" in text
     own = re.findall(r'class="own"><td>(.*)</td>', text)
     name, angle, thickness, area, weight = own[0].split("</td><td>")[1:]
     assert (name, angle, thickness) == ("fabric 1", "30°", "1.2 mm")

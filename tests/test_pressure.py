@@ -320,3 +320,17 @@ def test_a_scene_with_a_diaphragm_is_written_back(tmp_path):
 def test_diaphragms_that_are_refused(tmp_path, old, new, words):
     with pytest.raises(qf.InputError, match=words):
         scene(tmp_path, PRESSED.replace(old, new, 1), size=10.0)
+
+
+def test_plies_under_a_diaphragm_have_fields_between_them(tmp_path):
+    """The diaphragm is no ply: it adds nothing to the stack, and has no files."""
+    plies = "[[plies]]\n[[plies]]\norientation = 90.0\n"
+    model = scene(tmp_path, PRESSED.replace("travel = 10.0", "travel = 2.0") + plies, size=10.0)
+    result = qf.solve(model, estimate=False)
+    fields = result.stack_at().point_fields
+    thickness = sum(ply.fabric.thickness for ply in model.sheets[:2])
+    assert fields["stack_thickness"] == pytest.approx(thickness, rel=1e-3)
+    assert {name for name in fields if name.startswith("slip")} == {"slip_1_2"}
+    assert list(result.sheets) == ["ply 1", "ply 2"]
+    handed = qf.export(result, "abaqus-layup", tmp_path / "layup")
+    assert len(handed.plies) == 2

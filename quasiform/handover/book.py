@@ -57,7 +57,8 @@ def ply_book(
     out : path
         Folder for `ply_book.html`; made if missing.
     trim, within, scale : optional
-        The line to cut along, as for `flat_pattern`.
+        The line to cut along, how far off the sheet it may lie, mm, and its unit, mm, as for
+        `flat_pattern`.
     force : bool
         Whether to replace an earlier book.
 

@@ -144,7 +144,7 @@ def flat_pattern(
             if curve.shape[1] == 2:
                 lines += _seen(sheet, plan, notices)
             else:
-                lines.append(_mapped(sheet, curve, reach, [*edges, *slits], notices))
+                lines.append(_mapped(sheet, curve, reach, notices))
     for line in lines:
         if _closed(line) and not shapely.LinearRing(line).is_simple:
             notices.append("the flat line crosses itself")

@@ -100,14 +100,17 @@ def summary_of_ply(summary: dict[str, Any], ply: int) -> dict[str, Any]:
 def between_plies(model: Model, x: FloatArray) -> list[dict[str, FloatArray]]:
     """Fields by node of each whole ply at x (n_dofs,), mm: `slip_1_2`, ... and `stack_thickness`.
 
-    A slip is that since the start; zero where the two plies do not lie over each other.
+    A slip is that since the start; zero where the two plies do not lie over each other. A diaphragm
+    is no ply.
     """
-    own = {sheet.name: _thickness(sheet, x) for sheet in model.sheets}
-    above, below = (_beyond(model, x, own, side) for side in (-1.0, 1.0))
+    plies = [view.sheet for view in model.plies]
+    own = {sheet.name: _thickness(sheet, x) for sheet in plies}
+    pairs = [pair for pair in model.ply_pairs if all(c.sheet.name in own for c in pair)]
+    above, below = (_beyond(plies, pairs, x, own, side) for side in (-1.0, 1.0))
     found = []
-    for sheet in model.sheets:
+    for sheet in plies:
         fields = {"stack_thickness": above[sheet.name] + own[sheet.name] + below[sheet.name]}
-        for pair in model.ply_pairs:
+        for pair in pairs:
             slid = [np.nan_to_num(c.slid(model.x0, x)) for c in pair if c.sheet is sheet]
             fields[f"slip_{pair_name(pair)}"] = slid[0] if slid else 0.0 * own[sheet.name]
         found.append({name: values[sheet.whole[1]] for name, values in fields.items()})
@@ -121,16 +124,20 @@ def _thickness(sheet: Sheet, x: FloatArray) -> FloatArray:
 
 
 def _beyond(
-    model: Model, x: FloatArray, own: dict[str, FloatArray], side: float
+    plies: Sequence[Sheet],
+    between: Sequence[Sequence[PlyContact]],
+    x: FloatArray,
+    own: dict[str, FloatArray],
+    side: float,
 ) -> dict[str, FloatArray]:
     """(n_nodes,) thickness of what lies under the nodes of each ply (side 1), or on them (-1)."""
     found = {name: np.zeros_like(t) for name, t in own.items()}
-    for sheet in model.sheets[:: int(-side)]:  # from the far end on
-        contacts: list[PlyContact] = [c for c in model.ply_contacts if c.sheet is sheet]
-        for contact in (c for c in contacts if c.side == side):
+    contacts = [c for pair in between for c in pair if c.side == side]
+    for sheet in plies[:: int(-side)]:  # from the far end on
+        for contact in (c for c in contacts if c.sheet is sheet):
             pairs, other = contact.pairs(x), contact.other
-            plies = (own[other.name] + found[other.name])[other.blank.triangles[pairs.triangles]]
+            beyond = (own[other.name] + found[other.name])[other.blank.triangles[pairs.triangles]]
             lies = contact.penetration(x, pairs) > -PARTED * contact.reach
-            there = np.where(lies, (pairs.weights * plies).sum(1), 0.0)
+            there = np.where(lies, (pairs.weights * beyond).sum(1), 0.0)
             found[sheet.name] = np.maximum(found[sheet.name], there)
     return found

@@ -213,7 +213,7 @@ class Result(Outcome):
     def sheets(self) -> dict[str, FormedSheet]:
         """Formed sheets at the end by name: `sheet`, or `ply 1`, `ply 2`, ..."""
         stack = self.stack_at()
-        return {ply.name: one_of(stack, k) for k, ply in enumerate(self.model.sheets, 1)}
+        return {ply.model.sheet.name: one_of(stack, k) for k, ply in enumerate(self.plies, 1)}
 
     @property
     def gripped(self) -> np.ndarray:
