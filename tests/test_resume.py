@@ -377,7 +377,7 @@ def test_a_result_is_kept_before_its_error_is_estimated(tmp_path, monkeypatch):
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
 @pytest.mark.parametrize("wait", ["increment_0000.vtu", "increment_0002.vtu"])
 def test_an_interrupted_command_says_so_in_a_line_and_keeps_its_increments(tmp_path, name, wait):
-    words = ["form", "hemisphere", "--size", "12", "--no-estimate", "--out", str(tmp_path / "out")]
+    words = ["form", "hemisphere", "--size", "8", "--no-estimate", "--out", str(tmp_path / "out")]
     command = [sys.executable, "-m", "quasiform", *words]
     with subprocess.Popen(command, stdout=-1, stderr=-1, text=True, cwd=tmp_path) as run:
         while not (tmp_path / "out" / wait).exists() and run.poll() is None:

@@ -267,10 +267,7 @@ class Record:
     def locking(self) -> float | None:
         """Shear angle at which the fabric locks, degrees; None for a law without locking."""
         fabric = self.parameters.get("fabric")
-        shear = (fabric.get("shear") if isinstance(fabric, dict) else None) or {}
-        onset = shear.get("I_lo")
-        locks = onset is not None and shear.get("C_lo") and 0 < onset < 1
-        return float(np.degrees(np.arcsin(onset))) if locks else None
+        return _locking((fabric.get("shear") if isinstance(fabric, dict) else None) or {})
 
     def of_ply(self, ply: int) -> Record:
         """Return the run with the sheets of another ply; InputError if there is none."""
@@ -301,28 +298,40 @@ class Record:
 
         Sheets along the travel are written from number `since` on; without `increments` none.
         """
-        folder, end, stacks = Path(folder), self.sheets[-1], self.stacks or self.sheets
-        summary = json.dumps(self.summary, indent=2, allow_nan=False, default=np.generic.item)
-        (folder / "summary.json").write_text(summary + "\n", encoding="utf-8")
-        columns = np.column_stack(list(self.history.values()))
-        _write_table(folder / "history.csv", self.history, columns, "%.8g")
-        loops = [np.column_stack([np.full(len(p), k), p]) for k, p in enumerate(end.outline)]
-        heading = ["loop", "x_mm", "y_mm", "z_mm"]
-        _write_table(folder / "outline.csv", heading, np.vstack(loops), "%.6g")
-        collection = ET.Element("VTKFile", type="Collection", version="0.1")
-        series = ET.SubElement(collection, "Collection")
-        for number, travel in enumerate(self.sheets.travels if increments else ()):
-            name = f"increment_{number:04d}.vtu"
-            if number >= since:
-                stacks[number].write(folder / name)
-            ET.SubElement(series, "DataSet", timestep=f"{travel:.8g}", part="0", file=name)
-        ET.ElementTree(collection).write(folder / "result.pvd", xml_declaration=True)
-        if increments and since < len(self.sheets):  # the last one is the end
-            copyfile(folder / name, folder / "result.vtu")
-        else:
-            stacks[-1].write(folder / "result.vtu")
-        for ply in range(1, 1 + len(self.summary.get("plies", ()))):
-            one_of(stacks[-1], ply).write(folder / f"ply_{ply}.vtu")
+        _write(self, Path(folder), since, increments)
+
+
+def _locking(shear: Mapping[str, Any]) -> float | None:
+    """Angle, degrees, at which a shear law locks; None for a law without locking."""
+    onset = shear.get("I_lo")
+    locks = onset is not None and shear.get("C_lo") and 0 < onset < 1
+    return float(np.degrees(np.arcsin(onset))) if locks else None
+
+
+def _write(record: Record, folder: Path, since: int, increments: bool) -> None:
+    """Write a record as `Record.write` does."""
+    end, stacks = record.sheets[-1], record.stacks or record.sheets
+    summary = json.dumps(record.summary, indent=2, allow_nan=False, default=np.generic.item)
+    (folder / "summary.json").write_text(summary + "\n", encoding="utf-8")
+    columns = np.column_stack(list(record.history.values()))
+    _write_table(folder / "history.csv", record.history, columns, "%.8g")
+    loops = [np.column_stack([np.full(len(p), k), p]) for k, p in enumerate(end.outline)]
+    heading = ["loop", "x_mm", "y_mm", "z_mm"]
+    _write_table(folder / "outline.csv", heading, np.vstack(loops), "%.6g")
+    collection = ET.Element("VTKFile", type="Collection", version="0.1")
+    series = ET.SubElement(collection, "Collection")
+    for number, travel in enumerate(record.sheets.travels if increments else ()):
+        name = f"increment_{number:04d}.vtu"
+        if number >= since:
+            stacks[number].write(folder / name)
+        ET.SubElement(series, "DataSet", timestep=f"{travel:.8g}", part="0", file=name)
+    ET.ElementTree(collection).write(folder / "result.pvd", xml_declaration=True)
+    if increments and since < len(record.sheets):  # the last one is the end
+        copyfile(folder / name, folder / "result.vtu")
+    else:
+        stacks[-1].write(folder / "result.vtu")
+    for ply in range(1, 1 + len(record.summary.get("plies", ()))):
+        one_of(stacks[-1], ply).write(folder / f"ply_{ply}.vtu")
 
 
 def _read_summary(path: Path) -> dict[str, Any]:
