@@ -294,10 +294,7 @@ class Record:
         return self.upto(int(np.abs(np.subtract(self.sheets.travels, travel)).argmin()))
 
     def write(self, folder: str | Path, since: int = 0, increments: bool = True) -> None:
-        """Write all but the pictures into an existing folder.
-
-        Sheets along the travel are written from number `since` on; without `increments` none.
-        """
+        """Write all but the pictures; sheets from number `since` on, without `increments` none."""
         _write(self, Path(folder), since, increments)
 
 
