@@ -7,6 +7,7 @@ from numpy.testing import assert_array_equal
 
 import quasiform as qf
 from quasiform.energy.contact import Contact
+from quasiform.result.sheet import read_sheets
 from quasiform.scenes import scene_file
 
 MALE = """
@@ -258,7 +259,7 @@ def flat(tmp_path_factory):
     return qf.solve(scene(tmp_path_factory.mktemp("flat"), PRESSED, size=10.0), estimate=False)
 
 
-def test_a_diaphragm_bears_the_pressure_on_the_sheet_under_it(flat):
+def test_a_diaphragm_bears_the_pressure_on_the_sheet_under_it(flat, tmp_path):
     """On a plane die: beyond the sheet the diaphragm comes down on the die itself."""
     result = flat
     assert (result.status, result.reason) == ("completed", "")
@@ -276,6 +277,9 @@ def test_a_diaphragm_bears_the_pressure_on_the_sheet_under_it(flat):
     on_sheet = contact.area @ contact.pressure(x) / model.share
     assert 0.02 * 100.0 * 80.0 < on_sheet < 0.02 * 110.0 * 90.0  # with half a row beyond its edge
     assert result.certified.figures["penetration_mm"] < 0.03
+    result.save(tmp_path / "out")
+    (written,) = read_sheets(tmp_path / "out" / "diaphragm.vtu")
+    assert written.areas @ written.cell_fields["thickness"] == pytest.approx(160 * 140, rel=1e-6)
     assert result.history["pressure_force_N"][-1] == pytest.approx(0.02 * 160 * 140, rel=1e-3)
 
 
