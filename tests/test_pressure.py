@@ -1,5 +1,7 @@
 """Scenes with a pressure on the sheet: its load, mirror planes, records, and what is refused."""
 
+from unittest.mock import Mock
+
 import numpy as np
 import pytest
 import shapely
@@ -7,8 +9,10 @@ from numpy.testing import assert_array_equal
 
 import quasiform as qf
 from quasiform.energy.contact import Contact
+from quasiform.energy.plies import folds_on_itself
 from quasiform.result.sheet import read_sheets
 from quasiform.scenes import scene_file
+from quasiform.unknowns import Unknowns
 
 MALE = """
 travel = 10.0
@@ -293,6 +297,31 @@ def test_a_diaphragm_under_the_sheet_is_pressed_up(flat, tmp_path):
     assert forces[0] == pytest.approx(-forces[1], rel=1e-6)
     z = [end.model.sheets[1].positions(end.states[-1].x)[:, 2] for end in ends]
     assert 2.004 - z[1] == pytest.approx(z[0], abs=0.02)  # of a thickness of 1 mm
+
+
+def test_a_killed_run_with_a_diaphragm_goes_on_as_it_was(flat, tmp_path):
+    given = {"estimate": False, "out": tmp_path / "out"}
+    model = scene(tmp_path, PRESSED, size=10.0)
+    qf.solve(model, callback=lambda p: p.travel > 3.0, **given)
+    end = qf.solve(model, resume=True, **given)
+    assert_array_equal(end.states[-1].x, flat.states[-1].x)
+
+
+def folded(gap):
+    """A strip that is folded over onto itself, with a gap between its halves, mm."""
+    sheet = Unknowns().sheet(qf.rectangle(60.0, 20.0, 2.5), qf.Fabric(), 3)
+    (x, y), r = sheet.blank.nodes.T, 0.5 * gap
+    bend = np.clip(x / r, 0.0, np.pi)
+    X = np.where(x < 0, x, r * np.sin(bend)) - np.maximum(x - np.pi * r, 0.0)
+    return sheet, np.column_stack([X, y, r * (1.0 - np.cos(bend))]).ravel()
+
+
+def test_a_fold_that_touches_itself_is_found():
+    assert folds_on_itself(*folded(0.4))
+    assert not folds_on_itself(*folded(4.0))
+    sheet, x = folded(0.4)
+    model = Mock(pressures=[None], sheets=[sheet], contacts=[])
+    assert qf.Model.lost(model, x) == "the sheet folds on itself, and self-contact is not modelled"
 
 
 def test_a_scene_with_a_diaphragm_is_written_back(tmp_path):
