@@ -460,6 +460,16 @@ ROWS = {"force": [[0.0, 10.0], [5.0, 50.0], [8.0, 5.0]]}
 NOTCHED["tools"] = BASES[0]["tools"] | {"holder": BASES[0]["tools"]["holder"] | ROWS}
 PRESSED = {"pressure": [[0.0, 0.001], [5.0, 0.002]], "outputs": {"pictures": False}}
 PRESSED["tools"] = {name: BASES[0]["tools"][name] for name in ("die", "holder")}
+PRESSED["tools"]["lid"] = {
+    "role": "punch",
+    "shape": "ball",
+    "radius": 10.0,
+    "z": 20.0,
+    "stroke": [[0, 0]],
+}
+PRESSED["tools"]["lid"]["stroke"] += [[9.0, 5.0], [10.0, 0.0]]
+ABOVE = {"modulus": 1.0, "thickness": 0.8, "poisson": 0.45, "prestretch": 1.1, "friction": 0.4}
+PRESSED["diaphragm"] = ABOVE | {"blank": {"shape": "disc", "radius": 110.0}}
 SCENES = [*BASES, *BUILT_IN, *(BASES[0] | more for more in (HELD, NOTCHED, PRESSED))]
 JSON_SCHEMA = jsonschema.Draft202012Validator(json_schema())
 

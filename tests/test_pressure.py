@@ -1,5 +1,7 @@
 """Scenes with a pressure on the sheet: its load, mirror planes, records, and what is refused."""
 
+from unittest.mock import Mock
+
 import numpy as np
 import pytest
 import shapely
@@ -7,7 +9,12 @@ from numpy.testing import assert_array_equal
 
 import quasiform as qf
 from quasiform.energy.contact import Contact
+from quasiform.energy.plies import folds_on_itself
+from quasiform.handover.deck import abaqus_deck
+from quasiform.result.assumed import assumed
+from quasiform.result.sheet import read_sheets
 from quasiform.scenes import scene_file
+from quasiform.unknowns import Unknowns
 
 MALE = """
 travel = 10.0
@@ -190,6 +197,13 @@ def test_a_killed_run_of_stages_goes_on_as_it_was(staged, tmp_path):
     assert end.residual == staged.residual
 
 
+def test_what_is_not_possible_with_stages(staged, tmp_path):
+    with pytest.raises(qf.InputError, match="tools with a stroke and pressures are not followed"):
+        staged.sensitivity(["fabric.friction"])
+    with pytest.raises(qf.InputError, match="a deck of tools with a stroke is not possible"):
+        abaqus_deck(staged.model, tmp_path / "deck.inp")
+
+
 def test_the_force_of_a_tool_that_rises_is_positive(tmp_path):
     """A male tool from below, against a sheet that is clamped around it."""
     text = """
@@ -243,6 +257,7 @@ shape = "plane"
 [diaphragm]
 modulus = 1.0
 thickness = 1.0
+prestretch = 1.02
 [diaphragm.blank]
 shape = "rectangle"
 length = 160.0
@@ -258,7 +273,7 @@ def flat(tmp_path_factory):
     return qf.solve(scene(tmp_path_factory.mktemp("flat"), PRESSED, size=10.0), estimate=False)
 
 
-def test_a_diaphragm_bears_the_pressure_on_the_sheet_under_it(flat):
+def test_a_diaphragm_bears_the_pressure_on_the_sheet_under_it(flat, tmp_path):
     """On a plane die: beyond the sheet the diaphragm comes down on the die itself."""
     result = flat
     assert (result.status, result.reason) == ("completed", "")
@@ -276,6 +291,10 @@ def test_a_diaphragm_bears_the_pressure_on_the_sheet_under_it(flat):
     on_sheet = contact.area @ contact.pressure(x) / model.share
     assert 0.02 * 100.0 * 80.0 < on_sheet < 0.02 * 110.0 * 90.0  # with half a row beyond its edge
     assert result.certified.figures["penetration_mm"] < 0.03
+    result.save(tmp_path / "out")
+    (written,) = read_sheets(tmp_path / "out" / "diaphragm.vtu")
+    volume = written.areas @ written.cell_fields["thickness"]
+    assert volume == pytest.approx(160 * 140 / 1.02**2, rel=1e-6)  # it is incompressible
     assert result.history["pressure_force_N"][-1] == pytest.approx(0.02 * 160 * 140, rel=1e-3)
 
 
@@ -291,12 +310,38 @@ def test_a_diaphragm_under_the_sheet_is_pressed_up(flat, tmp_path):
     assert 2.004 - z[1] == pytest.approx(z[0], abs=0.02)  # of a thickness of 1 mm
 
 
+def test_a_killed_run_with_a_diaphragm_goes_on_as_it_was(flat, tmp_path):
+    given = {"estimate": False, "out": tmp_path / "out"}
+    model = scene(tmp_path, PRESSED, size=10.0)
+    qf.solve(model, callback=lambda p: p.travel > 3.0, **given)
+    end = qf.solve(model, resume=True, **given)
+    assert_array_equal(end.states[-1].x, flat.states[-1].x)
+
+
+def folded(gap):
+    """A strip that is folded over onto itself, with a gap between its halves, mm."""
+    sheet = Unknowns().sheet(qf.rectangle(60.0, 20.0, 2.5), qf.Fabric(), 3)
+    (x, y), r = sheet.blank.nodes.T, 0.5 * gap
+    bend = np.clip(x / r, 0.0, np.pi)
+    X = np.where(x < 0, x, r * np.sin(bend)) - np.maximum(x - np.pi * r, 0.0)
+    return sheet, np.column_stack([X, y, r * (1.0 - np.cos(bend))]).ravel()
+
+
+def test_a_fold_that_touches_itself_is_found():
+    assert folds_on_itself(*folded(0.4))
+    assert not folds_on_itself(*folded(4.0))
+    sheet, x = folded(0.4)
+    model = Mock(pressures=[None], sheets=[sheet], contacts=[])
+    assert qf.Model.lost(model, x) == "the sheet folds on itself, and self-contact is not modelled"
+
+
 def test_a_scene_with_a_diaphragm_is_written_back(tmp_path):
     model = scene(tmp_path, PRESSED, size=10.0)
     file = scene_file.load(str(tmp_path / "scene.toml"))
     (tmp_path / "again.toml").write_text(scene_file.scene_toml(file))
     again = scene_file.load(str(tmp_path / "again.toml"))
     assert again.diaphragm == file.diaphragm
+    assert {"diaphragm.poisson", "diaphragm.friction"} <= set(assumed(model))
     assert qf.forming(again, size=10.0).description == model.description
 
 
@@ -306,9 +351,9 @@ def test_a_scene_with_a_diaphragm_is_written_back(tmp_path):
         ("modulus = 1.0", "", r"\[diaphragm\] modulus missing"),
         ("modulus = 1.0", "modulus = -1.0", "modulus"),
         ("modulus = 1.0", "modulus = 1.0\npoisson = 0.6", "poisson must not exceed 0.5"),
-        ("modulus = 1.0", "modulus = 1.0\nprestretch = 0.9", "prestretch must be at least 1"),
+        ("prestretch = 1.02", "prestretch = 0.9", "prestretch must be at least 1"),
         ("modulus = 1.0", 'modulus = 1.0\nside = "over"', "side = 'over'"),
-        ("modulus = 1.0", "modulus = 1.0\nclamped = false\nprestretch = 1.1", "prestretch needs"),
+        ("modulus = 1.0", "modulus = 1.0\nclamped = false", "prestretch needs"),
         (
             "[diaphragm]",
             '[[supports]]\nside = "+x"\nfix = "z"\n[diaphragm]',

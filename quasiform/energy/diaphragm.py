@@ -49,6 +49,10 @@ class Diaphragm(Membrane):
         S = self.mu * np.array([[1.0 - part * I8, part * I6], [part * I6, 1.0 - part * I4]])
         return f, I4, I6, I8, W, S, D
 
+    def thickness(self, x: FloatArray) -> FloatArray:
+        """(n_triangles,) thickness of the stretched diaphragm, mm."""
+        return self.fabric.thickness * self._at(x)[6] ** (-0.5 * self.q)
+
     def turned_over(self, x: FloatArray, trial: FloatArray) -> bool:
         return bool(((self.normals(x) * self.normals(trial)).sum(1) <= 0).any())
 

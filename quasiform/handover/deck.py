@@ -78,6 +78,8 @@ def abaqus_deck(
     """
     if len(model.sheets) > 1:
         raise InputError("a deck of several plies is not possible")
+    if model.strokes:
+        raise InputError("a deck of tools with a stroke is not possible")
     path, blank = Path(path), model.sheet.blank
     check_number("speed", speed)
     check_number("spacing", 1.0 if spacing is None else spacing)

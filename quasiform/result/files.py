@@ -14,7 +14,7 @@ from filelock import FileLock, Timeout
 from ..checks import InputError
 
 INCREMENTS = "increment_*.vtu"
-OF_PLIES = ("ply_*.vtu", "shear_angle_ply_*.png")
+OF_PLIES = ("ply_*.vtu", "shear_angle_ply_*.png", "diaphragm.vtu")
 LOCK = ".lock"
 RESUME = "resume.npz"
 PICTURES = ("shear_angle.png", "history.png", "doubt.png")

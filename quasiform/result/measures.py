@@ -9,6 +9,7 @@ import numpy as np
 
 from ..energy.bending import Bending
 from ..energy.contact import Contact, moment
+from ..energy.diaphragm import Diaphragm
 from ..energy.slip import Slipped
 from ..model import COLLAPSE, Model
 from ..net.blank import Blank
@@ -114,6 +115,17 @@ def formed(
         "doubt": sum(2**bit * doubts[name].astype(float) for bit, name in enumerate(DOUBTS)),
     }
     return replace(bare, point_fields=at_nodes | at_slip, cell_fields=fields)
+
+
+def formed_diaphragm(model: Model, x: FloatArray, travel: float) -> FormedSheet | None:
+    """Formed diaphragm with its `thickness` at x (n_dofs,); None of a model without."""
+    for term in (term for term in model.membranes if isinstance(term, Diaphragm)):
+        blank, _, _, source, _ = term.sheet.whole
+        fields = {"thickness": term.thickness(x)[source]}
+        given = {"cell_fields": fields, "name": term.sheet.name, "travel": travel}
+        points = term.sheet.whole_positions(x)
+        return FormedSheet(points, blank.triangles, blank.nodes, **given)
+    return None
 
 
 def _fibres(model: Model, x: FloatArray, bare: FormedSheet) -> FloatArray:

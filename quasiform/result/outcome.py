@@ -172,6 +172,11 @@ class Outcome:
         """Formed sheet at the end; of a stack the first ply."""
         return self.sheet_at()
 
+    @property
+    def diaphragm(self) -> FormedSheet | None:
+        """The diaphragm at the end with its `thickness`, mm; None without one."""
+        return measures.formed_diaphragm(self.model, self.states[-1].x, self.states[-1].travel)
+
     def stack_at(self, state: int = -1) -> FormedSheet:
         """All plies of a state in one formed sheet with the field `ply`; the sheet if it is one."""
         plies = [ply.sheet_at(state) for ply in self.plies]

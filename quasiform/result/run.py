@@ -265,6 +265,8 @@ class Result(Outcome):
     def write(self, folder: Path, since: int = 0) -> None:
         """Write all but the pictures, meshes from number `since` on, into an existing folder."""
         self.record.write(folder, since, increments=self.model.outputs["increments"])
+        if self.diaphragm:
+            self.diaphragm.write(folder / "diaphragm.vtu")
         from ..scenes.resolved import resolved  # pydantic
 
         run = {"increment": self.settings.get("increment"), "one_mesh": self.path is None}

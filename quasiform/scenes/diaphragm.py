@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import shapely
 
@@ -13,7 +13,8 @@ from ..energy.pressure import free_edges
 from ..fabric import Fabric, ThreeStageLaw
 from ..model import DIAPHRAGM, Model
 from .scene_file import SceneFile
-from .stack import FRICTION, Layer, outline_of
+from .scene_parts import ElasticSheet
+from .stack import Layer, outline_of
 
 DENSITY = 1100.0  # g per m² and mm of thickness, of silicone (assumed)
 LARGER = 1.25  # times the blank, where the scene gives no outline
@@ -34,7 +35,7 @@ def with_diaphragm(file: SceneFile, layers: list[Layer]) -> list[Layer]:
     outline = given.blank.polygon if given.blank else hull
     if not outline.intersects(plies):
         raise InputError("[diaphragm] does not lie over the blank")
-    t, mu = given.thickness, FRICTION if given.friction is None else given.friction
+    t, mu = given.thickness, given.friction
     B = given.modulus * t**3 / (12.0 * (1.0 - given.poisson**2))
     linear = ThreeStageLaw(given.modulus / 4.0)  # where a modulus of fibres is asked for
     fabric = replace(
@@ -47,6 +48,13 @@ def with_diaphragm(file: SceneFile, layers: list[Layer]) -> list[Layer]:
     if given.side == "under":
         return [*layers, layer]
     return [layer, replace(layers[0], friction=mu), *layers[1:]]
+
+
+def assumed_defaults(file: SceneFile) -> list[str]:
+    """Dotted names of numbers of the diaphragm that are its defaults."""
+    own = {f.name: f.default for f in fields(ElasticSheet) if f.name in ("poisson", "friction")}
+    given = file.diaphragm
+    return [f"diaphragm.{name}" for name, it in own.items() if given and getattr(given, name) == it]
 
 
 def membranes_of(model: Model, file: SceneFile) -> list[Membrane]:

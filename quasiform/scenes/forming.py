@@ -37,7 +37,7 @@ from ..tools.shapes import Tool, turned
 from ..unknowns import Unknowns
 from . import scene_file, stack
 from .blank_file import blank_from_file
-from .diaphragm import membranes_of, with_diaphragm
+from .diaphragm import assumed_defaults, membranes_of, with_diaphragm
 from .loads import FORCE, PRESSURE, drive_tool, force_over_travel, pressure_on_sheet, sink
 from .mechanics import check_mechanics
 from .room import check_clearance, mirror_planes, smallest_radius, what_resolves
@@ -202,10 +202,10 @@ def formed_between_tools(
     fabric = plies[0].fabric if file.plies else fabric
     parameters = {"scene": name} | ({"scene_file": file.source} if file.source else {})
     parameters |= {"orientation": orientation, "law": fabric.name, "size": size, "travel": travel}
-    parameters |= {"symmetry": symmetry, "fabric": asdict(fabric), "standings": file.standings}
+    defaults = dict.fromkeys(stack.assumed_frictions(file) + assumed_defaults(file), "assumed")
+    parameters |= {"symmetry": symmetry, "fabric": asdict(fabric)}
+    parameters["standings"] = defaults | dict(file.standings)
     if file.plies:
-        frictions = dict.fromkeys(stack.assumed_frictions(file), "assumed")
-        parameters["standings"] = {**file.standings, **frictions}
         parameters["plies"] = stack.written(plies)
     if file.diaphragm:
         parameters["diaphragm"] = asdict(file.diaphragm)

@@ -268,7 +268,7 @@ class _Diaphragm(Table):
     prestretch: number("Stretch of its flat outline", "1", most=10.0) = 1.0
     side: _word("On which side of the plies", "above", "under") = "above"
     clamped: _flag("Whether its edge is clamped") = True
-    friction: number("Coulomb coefficient with the plies", "1", zero=True) = OPEN
+    friction: number("Coulomb coefficient with the plies", "1", zero=True) = 0.0
     blank: _union(_Outline, REGION, LARGEST, _region) = OPEN
 
 

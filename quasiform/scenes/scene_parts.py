@@ -174,7 +174,7 @@ class ElasticSheet:
     prestretch: float = 1.0  # of its flat outline
     side: str = "above"
     clamped: bool = True  # whether its edge is
-    friction: float | None = None  # Coulomb coefficient with the plies
+    friction: float = 0.0  # Coulomb coefficient with the plies
     blank: Region | None = None  # its outline; None: that of the plies, enlarged
 
 

@@ -159,13 +159,13 @@ def between_plies(model: Model, layers: Sequence[Layer]) -> list[Term]:
             if both.area <= EPS * layers[k].outline.area or (
                 k > i + 1 and not _seen(replace(layers[i], outline=both), layers[i + 1 : k])
             ):
-                left_out.append(f"ply {i + 1} with ply {k + 1}")
+                left_out.append(f"{layers[i].name} with {layers[k].name}")
                 continue
             above, below, mu = model.sheets[i], model.sheets[k], layers[k].friction
             pair = PlyContact(above, below, True), PlyContact(below, above, False)
             contacts += pair
             frictions += [PlyFriction(contact, mu) for contact in pair if mu]
-            coefficients.append(f"{mu:g} between plies {i + 1} and {k + 1}")
+            coefficients.append(f"{mu:g} between {layers[i].name} and {layers[k].name}")
     why = f"nodes of each ply against the surface of the other; friction {', '.join(coefficients)}"
     model.description.append(("contact between plies", why))
     if left_out:

@@ -129,6 +129,8 @@ class Track:
             return f"the run was not completed: {result.reason}"
         if result.model.changed:
             return "the model was changed by hand (Model.including makes a change part of it)"
+        if result.model.strokes or result.model.pressures:
+            return "tools with a stroke and pressures are not followed"
         if result.snaps:
             at = f"{result.snaps[0]['to_mm']:.4g} mm"
             return f"the sheet jumped to another state near {at}: there the path has no derivative"
