@@ -458,7 +458,10 @@ NOTCHED = {"blank": BASES[0]["blank"] | {"holes": [NOTCH]}, "outputs": {"picture
 NOTCHED["grippers"] = [{"box": [60.0, -80.0, 80.0, 80.0], "tension": 5.0}]
 ROWS = {"force": [[0.0, 10.0], [5.0, 50.0], [8.0, 5.0]]}
 NOTCHED["tools"] = BASES[0]["tools"] | {"holder": BASES[0]["tools"]["holder"] | ROWS}
-SCENES = [*BASES, *BUILT_IN, BASES[0] | HELD, BASES[0] | NOTCHED]
+CUT = {"darts": {"points": [[40.0, 0.0], [90.0, -9.0], [90.0, 9.0]]}, "slits": []}
+CUT["slits"] = [{"points": [[0.0, 40.0], [9.0, 85.0]], "centre": [0.0, 0.0]}]
+SLIT = {"blank": BASES[0]["blank"] | CUT, "plies": [{}, {"blank": BASES[0]["blank"] | CUT}]}
+SCENES = [*BASES, *BUILT_IN, BASES[0] | HELD, BASES[0] | NOTCHED, BASES[0] | SLIT]
 JSON_SCHEMA = jsonschema.Draft202012Validator(json_schema())
 
 

@@ -314,7 +314,7 @@ def cut(
     near = GIVE * min(size, max(np.diff(line).max() for line in lines))
     nodes, triangles = cut_net(lines, rings, near, GIVE, first, slits)
     blank = Blank(nodes @ R.T, triangles, R[:, 0], R[:, 1], mirror)
-    return _in_one_part(blank, outline, size)
+    return _in_one_part(blank, outline, size, 0.0 if slits else 0.1 * size**2)
 
 
 def check_unit(across: float, scale: float) -> None:
@@ -423,8 +423,8 @@ def _lines_through(stops: FloatArray, size: float) -> FloatArray:
     return np.concatenate([*(np.linspace(*pair, endpoint=False) for pair in pairs), stops[-1:]])
 
 
-def _in_one_part(blank: Blank, outline: shapely.Polygon, size: float) -> Blank:
-    """Leave out small parts joined by a node only; refuse what the size cannot resolve."""
+def _in_one_part(blank: Blank, outline: shapely.Polygon, size: float, small: float) -> Blank:
+    """Leave out parts of up to a `small` area joined by a node; refuse what size cannot resolve."""
     count = len(blank.triangles)
     edges, shared, turns = edges_of(blank.triangles)
     on_top = (shared > 2) | ((shared == 2) & (turns != 0))
@@ -434,7 +434,7 @@ def _in_one_part(blank: Blank, outline: shapely.Polygon, size: float) -> Blank:
     _, part = connected_components(links, directed=False)
     areas = np.bincount(part, blank.areas)
     main = part == areas.argmax()
-    bad = np.vstack([bad, blank.centroids[~main & (areas[part] > 0.1 * size**2)]])
+    bad = np.vstack([bad, blank.centroids[~main & (areas[part] > small)]])
     if not main.all():
         used, triangles = np.unique(blank.triangles[main], return_inverse=True)
         triangles = triangles.reshape(-1, 3)
