@@ -148,6 +148,18 @@ def test_values_on_another_mesh_stay_on_their_side(lines, size):
     assert not len(beside_slits(whole, whole.nodes, blanks[1])[0])
 
 
+@pytest.mark.parametrize(("orientation", "doubled"), [(0.0, 2), (90.0, 2), (20.0, 0)])
+def test_a_narrow_tip_of_a_dart_is_cut_and_not_closed(orientation, doubled):
+    shape = outlines.with_holes(BOX, [outlines.polygon([(0, 0), (35, -1.5), (35, 1.5)])], "dart")
+    closed = cut(shape, SIZE, orientation, through=((0.0, 0.0),))
+    tip = cut(shape, SIZE, orientation, through=((0.0, 0.0),), open_tips=True)
+    assert_allclose(tip.areas.sum(), closed.areas.sum(), rtol=1e-12)
+    assert not len(closed.doubled)
+    assert len(tip.doubled) == len(tip.nodes) - len(closed.nodes) + doubled // 2 == doubled
+    thorn = BOX.union(shapely.Polygon([(-10, 20), (10, 20), (0, 20.2)]))
+    assert len(cut(thorn, SIZE, open_tips=True).nodes) == len(cut(thorn, SIZE).nodes)
+
+
 # In a scene
 
 SLIT = {"points": [[60.0, 10.0], [155.0, 10.0]]}
@@ -168,7 +180,13 @@ def test_cuts_of_a_scene_and_their_mirror_planes(tmp_path):
     assert "along the warp the slits differ" in description["a half"]
     assert formed(slits=SLIT).sheet.blank.mirror == ()
     dart = formed(darts=[DART])
-    assert dart.sheet.blank.mirror == ("y",)
+    assert dart.sheet.blank.mirror == ()
+    assert (
+        "runs through a dart, whose tip would be closed"
+        in dict(dart.description)["the whole blank"]
+    )
+    beside = formed(darts=[{"points": [[0.0, 120.0], [10.0, 165.0], [20.0, 165.0]]}])
+    assert "outline differs" in dict(beside.description)["a half"]
     missing = 310**2 - dart.sheet.whole[0].areas.sum()
     assert missing == pytest.approx(95**2 * 20 / 105, rel=0.02)
     keys = {"blank.slits": SLIT, "blank.darts": [DART | {"centre": [0.0, -50.0]}]}

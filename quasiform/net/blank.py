@@ -238,6 +238,7 @@ def cut(
     through: Sequence[tuple[float, float]] = (),
     mirror: tuple[str, ...] = (),
     slits: Sequence[FloatArray] = (),
+    open_tips: bool = False,
 ) -> Blank:
     """Mesh a blank of any outline, with holes and slits.
 
@@ -264,6 +265,8 @@ def cut(
         Mesh only the positive side of the planes x = 0, y = 0.
     slits : (k, 2) arrays, mm
         Open lines along which the fabric is cut: the nodes on them are doubled.
+    open_tips : bool
+        Whether ends of notches that are too narrow for the size are cut as slits, and not closed.
 
     Raises
     ------
@@ -312,7 +315,7 @@ def cut(
         anchor = [*planes, *points[:, i]][0]
         lines.append(_lines_through(stops, size) if even else _lines_from(anchor, stops, size))
     near = GIVE * min(size, max(np.diff(line).max() for line in lines))
-    nodes, triangles = cut_net(lines, rings, near, GIVE, first, slits)
+    nodes, triangles = cut_net(lines, rings, near, GIVE, first, slits, open_tips)
     blank = Blank(nodes @ R.T, triangles, R[:, 0], R[:, 1], mirror)
     return _in_one_part(blank, outline, size, 0.0 if slits else 0.1 * size**2)
 
