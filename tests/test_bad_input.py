@@ -470,7 +470,11 @@ PRESSED["tools"]["lid"] = {
 PRESSED["tools"]["lid"]["stroke"] += [[9.0, 5.0], [10.0, 0.0]]
 ABOVE = {"modulus": 1.0, "thickness": 0.8, "poisson": 0.45, "prestretch": 1.1, "friction": 0.4}
 PRESSED["diaphragm"] = ABOVE | {"blank": {"shape": "disc", "radius": 110.0}}
-SCENES = [*BASES, *BUILT_IN, *(BASES[0] | more for more in (HELD, NOTCHED, PRESSED))]
+CUT = {"darts": {"points": [[40.0, 0.0], [90.0, -9.0], [90.0, 9.0]]}, "slits": []}
+CUT["slits"] = [{"points": [[0.0, 40.0], [9.0, 85.0]], "centre": [0.0, 0.0]}]
+SLIT = {"blank": BASES[0]["blank"] | CUT, "plies": [{}, {"blank": BASES[0]["blank"] | CUT}]}
+SCENES = [*BASES, *BUILT_IN]
+SCENES += [BASES[0] | more for more in (HELD, NOTCHED, PRESSED, SLIT)]
 JSON_SCHEMA = jsonschema.Draft202012Validator(json_schema())
 
 

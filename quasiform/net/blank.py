@@ -238,6 +238,7 @@ def cut(
     through: Sequence[tuple[float, float]] = (),
     mirror: tuple[str, ...] = (),
     slits: Sequence[FloatArray] = (),
+    open_tips: bool = False,
 ) -> Blank:
     """Mesh a blank of any outline, with holes and slits.
 
@@ -264,6 +265,8 @@ def cut(
         Mesh only the positive side of the planes x = 0, y = 0.
     slits : (k, 2) arrays, mm
         Open lines along which the fabric is cut: the nodes on them are doubled.
+    open_tips : bool
+        Whether ends of notches that are too narrow for the size are cut as slits, and not closed.
 
     Raises
     ------
@@ -312,9 +315,9 @@ def cut(
         anchor = [*planes, *points[:, i]][0]
         lines.append(_lines_through(stops, size) if even else _lines_from(anchor, stops, size))
     near = GIVE * min(size, max(np.diff(line).max() for line in lines))
-    nodes, triangles = cut_net(lines, rings, near, GIVE, first, slits)
+    nodes, triangles = cut_net(lines, rings, near, GIVE, first, slits, open_tips)
     blank = Blank(nodes @ R.T, triangles, R[:, 0], R[:, 1], mirror)
-    return _in_one_part(blank, outline, size)
+    return _in_one_part(blank, outline, size, 0.0 if slits else 0.1 * size**2)
 
 
 def check_unit(across: float, scale: float) -> None:
@@ -423,8 +426,8 @@ def _lines_through(stops: FloatArray, size: float) -> FloatArray:
     return np.concatenate([*(np.linspace(*pair, endpoint=False) for pair in pairs), stops[-1:]])
 
 
-def _in_one_part(blank: Blank, outline: shapely.Polygon, size: float) -> Blank:
-    """Leave out small parts joined by a node only; refuse what the size cannot resolve."""
+def _in_one_part(blank: Blank, outline: shapely.Polygon, size: float, small: float) -> Blank:
+    """Leave out parts of up to a `small` area joined by a node; refuse what size cannot resolve."""
     count = len(blank.triangles)
     edges, shared, turns = edges_of(blank.triangles)
     on_top = (shared > 2) | ((shared == 2) & (turns != 0))
@@ -434,7 +437,7 @@ def _in_one_part(blank: Blank, outline: shapely.Polygon, size: float) -> Blank:
     _, part = connected_components(links, directed=False)
     areas = np.bincount(part, blank.areas)
     main = part == areas.argmax()
-    bad = np.vstack([bad, blank.centroids[~main & (areas[part] > 0.1 * size**2)]])
+    bad = np.vstack([bad, blank.centroids[~main & (areas[part] > small)]])
     if not main.all():
         used, triangles = np.unique(blank.triangles[main], return_inverse=True)
         triangles = triangles.reshape(-1, 3)

@@ -38,6 +38,7 @@ def cut_net(
     sharp: float,
     first: FloatArray,
     slits: list[FloatArray] = [],  # noqa: B006
+    open_tips: bool = False,
 ) -> tuple[FloatArray, IntArray]:
     """Cut the net of lines at the coordinates a and b by rings: nodes (n, 2), triangles (m, 3).
 
@@ -45,6 +46,7 @@ def cut_net(
     meet the net. Fans with angles below `sharp` (radians) are replaced by other triangles. The
     diagonals run through the net's node at `first` (2,), unless the outline itself runs along them.
     Slits (k, 2) meet rings and each other only at their ends, which are points of the rings too.
+    With `open_tips` the ends of holes and darts that are too narrow become slits.
     """
     import shapely
 
@@ -54,7 +56,7 @@ def cut_net(
         for line, r in zip(lines, np.vstack(rings).T, strict=True)
     ]
     a, b = lines
-    points, codes, loops, slit = _fitted(rings, slits, lines, near)
+    points, codes, loops, slit = _fitted(rings, slits, lines, near, open_tips)
     kept = shapely.Polygon(rings[0], [rings[k] for k in loops if k > 0])
 
     # segments of the outline that cross a cell, and nodes of it between those of the net
@@ -144,7 +146,11 @@ def opened(triangles: IntArray, slit: IntArray, n: int) -> tuple[IntArray, IntAr
 
 
 def _fitted(
-    rings: list[FloatArray], slits: list[FloatArray], lines: list[FloatArray], near: float
+    rings: list[FloatArray],
+    slits: list[FloatArray],
+    lines: list[FloatArray],
+    near: float,
+    open_tips: bool,
 ) -> tuple[FloatArray, IntArray, dict[int, IntArray], IntArray]:
     """Fit rings and slits to the net of lines: what is within `near` of a line or node moves there.
 
@@ -152,11 +158,13 @@ def _fitted(
     (n, 2) of where they lie, 2 i on line i, 2 i + 1 between the lines i and i + 1; the points
     of the fitted rings by number, without holes that vanish; and edges (k, 2) of the slits.
     """
+    import shapely
+
     ends = np.array([line[k] for line in slits for k in (0, -1)]).reshape(-1, 2)
     index = np.meshgrid(*(np.arange(len(line)) for line in lines), indexing="ij")
     points = [np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 2)]
     codes = [2 * np.stack(index, axis=-1).reshape(-1, 2)]
-    count, loops = len(points[0]), {}
+    count, loops, raw = len(points[0]), {}, [np.empty((0, 2), dtype=int)]
     for k, ring in enumerate(rings):
         code, snapped, original = _divided(ring, lines, near)
         keep = _needed(code, snapped, original, near, _at(original, ends))
@@ -173,11 +181,14 @@ def _fitted(
                 raise InputError(f"{what} {words}: {remedy}")
             continue
         loops[k] = np.array(loop)
+        raw.append(np.column_stack([number, np.roll(number, -1)])[: len(number) * open_tips])
         points.append(snapped[~on_node])
         codes.append(code[~on_node])
         count += len(points[-1])
-    edges = [np.empty((0, 2), dtype=int)]
-    known = {tuple(p): k for k, p in enumerate(np.vstack(points)[len(points[0]) :].tolist())}
+    places, ways = np.vstack(points), np.vstack(raw)
+    kept = shapely.Polygon(places[loops[0]], [places[loops[k]] for k in loops if k > 0])
+    edges = [ways[shapely.contains_xy(kept, places[ways].mean(1))]]
+    known = {tuple(p): k for k, p in enumerate(places[len(points[0]) :].tolist())}
     for line in slits:
         code, snapped, original = _divided(line, lines, near, closed=False)
         keep = _needed(code, snapped, original, near, _at(original, ends), closed=False)

@@ -263,7 +263,8 @@ def _mirror_planes(
     if len(turns) > 1:
         return (), [("the whole blank", "the plies have no mirror plane in common")]
     given = layers[0].orientation, travel, symmetry, layers[0].fabric
-    found = [mirror_planes(file, tools, layer.outline, layer.slits, *given) for layer in layers]
+    shapes = [(layer.outline, layer.slits, layer.darts) for layer in layers]
+    found = [mirror_planes(file, tools, *cuts, *given) for cuts in shapes]
     planes, why = min(found, key=lambda entry: len(entry[0]))
     if any(set(planes) - set(other) for other, _ in found):
         return (), [("the whole blank", "the plies have no mirror plane in common")]
@@ -313,7 +314,7 @@ def _mesh(
     if mesh == "free":
         return free_mesh.triangulate(outline, size, warp)
     slits = [line @ rotation(turn) for line in layer.slits]
-    return cut(outline, size, warp, through=((0.0, 0.0),), mirror=mirror, slits=slits)
+    return cut(outline, size, warp, ((0.0, 0.0),), mirror, slits, bool(layer.darts))
 
 
 def _assemble(model: Model, file: SceneFile, tools: list[Tool], layers: Sequence[Layer]) -> None:

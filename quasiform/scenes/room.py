@@ -61,6 +61,7 @@ def mirror_planes(
     tools: Sequence[Tool],
     outline: shapely.Polygon,
     slits: Sequence[np.ndarray],
+    darts: Sequence[shapely.Polygon],
     orientation: float,
     travel: float,
     symmetry: str,
@@ -80,6 +81,7 @@ def mirror_planes(
     along = rotation(orientation)
     outline = shapely.affinity.rotate(outline, -orientation, origin=(0, 0))
     slits = [line @ along for line in slits]
+    tips = [shapely.get_coordinates(dart) @ along for dart in darts]
     bounds = np.array(outline.bounds).reshape(2, 2)
     rng = np.random.default_rng(0)
     flat = rng.uniform(*bounds, (20000, 2))
@@ -97,6 +99,9 @@ def mirror_planes(
             continue
         if not mirror_slits(slits, axis, TINY * np.ptp(bounds)):
             broken.append(f"{ACROSS[name]} the slits differ, or one lies on it")
+            continue
+        if any(tip[:, axis].min() < 0 < tip[:, axis].max() for tip in tips):
+            broken.append(f"{ACROSS[name]} it runs through a dart, whose tip would be closed")
             continue
         sides = [np.column_stack([points @ along.T, z]) for points in (flat, flat * flip)]
         off = {tool.name: _off_mirror(tool, sides, travel, fabric.thickness) for tool in tools}

@@ -101,6 +101,14 @@ class Region:
         check_slits(self.polygon, lines)
         return lines
 
+    def cuts(
+        self, offset: Point = (0.0, 0.0)
+    ) -> tuple[tuple[np.ndarray, ...], tuple[shapely.Polygon, ...]]:
+        """Lines of its slits and areas of its darts, moved by an offset, mm."""
+        loops = [loop for dart in self.darts for loop in dart.loops]
+        darts = [shapely.affinity.translate(loop, *offset) for loop in loops]
+        return tuple(line + offset for line in self.lines), tuple(darts)
+
     def files(self) -> list[Any]:
         """Paths that it names, among its other parameters."""
         cuts = [*self.holes, *self.darts]

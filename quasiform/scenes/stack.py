@@ -41,6 +41,7 @@ class Layer:
     friction: float  # with the layer above it
     plies: tuple[int, ...]  # their numbers in the scene, from 1 on; none: the scene has one sheet
     slits: tuple[np.ndarray, ...] = ()  # lines (k, 2) along which it is cut, mm
+    darts: tuple[shapely.Polygon, ...] = ()  # that are cut out of the outline
 
 
 def layers_of(
@@ -48,13 +49,14 @@ def layers_of(
 ) -> list[Layer]:
     """Layers of a scene, from the punch down; InputError for plies that cannot be formed."""
     if not file.plies:
-        return [Layer("sheet", outline, orientation, fabric, 0.0, (), tuple(file.slits))]
+        slits, darts = file.blank.cuts() if file.blank else ((), ())
+        return [Layer("sheet", outline, orientation, fabric, 0.0, (), slits, darts)]
     _check_possible(file)
     found: list[Layer] = []
     for i, ply in enumerate(file.plies, 1):
         own = ply.blank.polygon if ply.blank else outline
         own = shapely.affinity.translate(own, *ply.offset)
-        slits = tuple(line + ply.offset for line in (ply.blank.lines if ply.blank else file.slits))
+        cuts = (ply.blank or file.blank).cuts(ply.offset)
         mu = FRICTION if ply.friction is None else ply.friction
         angle = orientation + ply.orientation
         try:
@@ -63,7 +65,7 @@ def layers_of(
             raise InputError(f"[plies {i}] {error}") from error
         if law.slip is not None:
             raise InputError(f"[plies {i}] slip of the rovings is not possible with several plies")
-        layer = Layer("", own, angle, law, mu, (i,), slits)
+        layer = Layer("", own, angle, law, mu, (i,), *cuts)
         found.append(_joined(found.pop(), layer) if ply.joined else layer)
         if len(found) > 1 and not _overlap(found[-1].outline, found[-2].outline):
             raise InputError(f"[plies {i}] does not overlap the ply above it")
