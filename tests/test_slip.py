@@ -324,7 +324,7 @@ def test_intervals_of_slip_are_by_the_profile_of_the_cost():
 
     from quasiform.identification.fit import search
     from quasiform.identification.records import Curve
-    from quasiform.identification.slipping import PullOut, SlipUnknowns, slip_parameters
+    from quasiform.identification.slipping import PullOut, SlipUnknowns, profiled, slip_parameters
 
     true, u = qf.Slip(0.05, 0.2, 5.0), np.linspace(0.02, 0.5, 12)
     law = SimpleNamespace(
@@ -347,7 +347,9 @@ def test_intervals_of_slip_are_by_the_profile_of_the_cost():
                 off.append(abs(np.sqrt(rise) / 1.96 - 1))
         return max(off)
 
-    by_curvature, by_profile = (slip_parameters(trial, models)[0] for models in ([], [test]))
+    by_curvature, by_profile = (
+        slip_parameters(trial, ends)[0] for ends in ([], profiled([test], trial)[1])
+    )
     assert missed(by_profile) < 0.3 * missed(by_curvature)
 
 

@@ -47,6 +47,7 @@ FloatArray = np.ndarray
 WIDEST = 7.0  # of the logarithm of K and τ from their start
 NOISE = 0.05  # of a force, in a further test
 PROFILE = 1e-4  # relative change of the cost at the end of an interval
+MINIMA, LOWER = 3, 1 - 1e-3  # fits at most; a cost by which one is a better minimum
 SURE = 1.0  # half a 95 % interval of such a logarithm: beyond, it is not identified
 
 
@@ -276,7 +277,8 @@ def identify_with_slip(
     free = NAMES if start.law.I_lo < top else NAMES[:4]
     unknowns = SlipUnknowns(LawUnknowns(start.law, free), slip)
     trial = search(models, unknowns, TOLERANCE)
-    parameters, correlation = slip_parameters(trial, models)
+    trial, ends = profiled(models, trial)
+    parameters, correlation = slip_parameters(trial, ends)
     found = report(models, *trial, {})
     notices = [f"K and τ have a correlation of {correlation:.2f}"] if len(parameters) > 1 else []
     strips = [test[0] for test in tests if isinstance(test[0], OffAxis)]
@@ -328,56 +330,86 @@ def next_test(trial: Trial, strips: Sequence[OffAxis], fabric: Fabric, size: flo
     return f"{best} would narrow the wider interval of K and τ most, to ± {100 * half[best]:.0f} %"
 
 
-def slip_parameters(found: Trial, models: Sequence[Any] = ()) -> tuple[list[Parameter], float]:
+def slip_parameters(
+    found: Trial, ends: Sequence[tuple[float, float]] = ()
+) -> tuple[list[Parameter], float]:
     """K and τ with their 95 % intervals, and their correlation (nan for one of them alone).
 
-    The intervals are by the profile of the cost, see `profiled`; without models by its curvature.
+    The intervals are between `ends`, see `profiled`; without these by the curvature of the cost.
     """
     unknowns, fitted = found
     law, count = unknowns.law(fitted.x), len(unknowns.names)
-    covariance = _covariance(fitted.jac, fitted.fun)
+    covariance = _covariance(fitted.jac, fitted.fun)[-count:, -count:]
+    deviation = np.sqrt(np.diag(covariance))
+    ends = ends or [(-wide, wide) for wide in (1.96 * deviation).tolist()]
     units = {"stiffness": "N/mm³", "resistance": "MPa"}
     parameters = []
-    for i, name in enumerate(unknowns.names, start=-count):
-        value, wide = getattr(law.slip, name), 1.96 * float(np.sqrt(covariance[i, i]))
-        ends = [-wide, wide]
-        if models and wide < SURE:
-            ends = [profiled(models, found, covariance, i, end) for end in ends]
-        low, high = (value * float(np.exp(np.clip(end, -99.0, 99.0))) for end in ends)
-        state = "fitted" if max(np.abs(ends)) < SURE else "not identified"
-        high = high if wide < 99.0 else np.inf
+    for name, both in zip(unknowns.names, ends, strict=True):
+        value, widest = getattr(law.slip, name), max(np.abs(both))
+        low, high = (value * float(np.exp(np.clip(end, -99.0, 99.0))) for end in both)
+        state = "fitted" if widest < SURE else "not identified"
+        high = high if widest < 99.0 else np.inf
         parameters.append(Parameter(f"slip.{name}", value, low, high, units[name], state))
-    both = np.nan
-    if count == 2:
-        both = covariance[-2, -1] / np.sqrt(covariance[-2, -2] * covariance[-1, -1])
+    both = covariance[0, -1] / np.prod(deviation) if count == 2 else np.nan
     return parameters, float(both)
 
 
-def profiled(
-    models: Sequence[Any], found: Trial, covariance: FloatArray, i: int, end: float
-) -> float:
-    """Where the cost, with all other numbers fitted again, has risen by that of a 95 % interval.
+def profiled(models: Sequence[Any], found: Trial) -> tuple[Trial, list[tuple[float, float]]]:
+    """Ends of the 95 % intervals of the logarithms of K and τ, from their values.
 
-    Strips tell less of slip the less they slip, so that intervals by curvature are too narrow on
-    one side. From the `end` of such an interval of number i, the root of the rise is taken as
-    quadratic (profile t, [1]_). Where there is no equilibrium at that end, it is returned.
+    There the cost, with all other numbers fitted again, has risen by that of 95 %. Strips show less
+    of slip the less they slip, so that intervals by curvature are too narrow on one side. From the
+    ends of these the root of the rise is taken as quadratic (profile t, [1]_). Where a cost there
+    is lower than that of the fit, this was in a local minimum, and is repeated from there.
 
     References
     ----------
     .. [1] D. M. Bates, D. G. Watts, Nonlinear Regression Analysis (1988), 6.1.
     """
+    for again in reversed(range(MINIMA)):
+        unknowns, fitted = found
+        covariance, lowest, ends = _covariance(fitted.jac, fitted.fun), fitted.cost, []
+        for i in range(len(unknowns.of_law.start), len(fitted.x)):
+            wide = 1.96 * float(np.sqrt(covariance[i, i]))
+            tried = (
+                [
+                    _held(models, found, covariance[:, i] / covariance[i, i] * end, i)
+                    for end in (-wide, wide)
+                ]
+                if wide < SURE
+                else [(np.inf, fitted.x)] * 2
+            )
+            for cost, p in tried:
+                if cost < LOWER * lowest:
+                    lowest, unknowns.start = cost, p
+            rises = [2 * max(cost - fitted.cost, 0.0) for cost, _ in tried]
+            roots = np.sqrt(np.array(rises) / _variance(fitted.jac, fitted.fun))
+            bent = np.where(np.isfinite(roots), roots / 1.96 - 1.0, 0.0)
+            # root = 1.96 (t + bent t²) at t of the end
+            t = 2.0 / (1.0 + np.sqrt(np.maximum(1.0 + 4.0 * bent, 0.0)))
+            ends.append((-wide * float(t[0]), wide * float(t[1])))
+        if lowest == fitted.cost or not again:
+            break
+        found = search(models, unknowns, TOLERANCE)
+    return found, ends
+
+
+def _held(
+    models: Sequence[Any], found: Trial, step: FloatArray, i: int
+) -> tuple[float, FloatArray]:
+    """Least cost with number i held a step from the fit, infinite if there is none; its numbers."""
     unknowns, fitted = found
-    p = fitted.x + covariance[:, i] / covariance[i, i] * end
-    p = np.clip(p, *(unknowns.bounds + np.array([[1e-9], [-1e-9]])))
-    held = SlipUnknowns(unknowns.of_law, unknowns.law(p).slip, (unknowns.names[i],))
-    held.start[: len(unknowns.of_law.start)] = p[: len(unknowns.of_law.start)]
+    n = len(unknowns.of_law.start)
+    p = np.clip(fitted.x + step, *(unknowns.bounds + np.array([[1e-9], [-1e-9]])))
+    held = SlipUnknowns(unknowns.of_law, unknowns.law(p).slip, (unknowns.names[i - n],))
+    held.start[:n] = p[:n]
     try:
-        cost = search(models, held, PROFILE)[1].cost
-    except InputError:
-        return end
-    rise = 2.0 * max(cost - fitted.cost, 0.0) / _variance(fitted.jac, fitted.fun)
-    bent = np.sqrt(rise) / 1.96 - 1.0  # root = 1.96 (t + bent t²) at t of the end
-    return 2.0 * end / (1.0 + float(np.sqrt(max(1.0 + 4.0 * bent, 0.0))))
+        best = search(models, held, PROFILE)[1]
+    except InputError:  # no equilibrium there
+        return np.inf, p
+    p[:n], others = best.x[:n], [j for j in range(n, len(p)) if j != i]
+    p[others] += best.x[n:]
+    return best.cost, p
 
 
 def _variance(J: FloatArray, r: FloatArray) -> float:
