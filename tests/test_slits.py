@@ -267,6 +267,7 @@ REFUSED = {
     ),
     "in a dart": ({"slits": {"points": [[90, 0], [150, 0]]}, "darts": DART}, "does not lie inside"),
     "a point": ({"slits": [{"points": [[60, 0], [60, 0]]}]}, "needs two different points"),
+    "along the edge": ({"slits": {"points": [[50, 155], [0, 155], [0, 90]]}}, "along the outline"),
     "no points": ({"slits": [{}]}, r"\[blank.slits 1\] give points or a file"),
     "both": ({"slits": [SLIT | {"file": "a.dxf"}]}, "give points or a file"),
     "layer": ({"slits": [SLIT | {"layer": "A"}]}, "scale and layer go with a file"),
@@ -295,6 +296,10 @@ def test_slits_too_near_to_each_other():
     lines = [[(-10, 0), (10, 0)], [(-10, 0.5), (10, 0.5)]]
     blank = slit_blank(lines)  # the strip between them is a column of triangles
     assert_allclose(blank.areas.sum(), BOX.area, rtol=1e-9)
+    with pytest.raises(InputError, match="too near to the outline or another slit: choose"):
+        slit_blank([[(-12.0, 1.3), (12.3, 12.31)], [(-12.0, 1.305), (12.3, 12.32)]])
+    corner = slit_blank([[(-2.0, 18.0), (32.0, 19.95)]])  # its end moves no edge
+    assert_allclose(corner.areas.sum(), BOX.area, rtol=1e-9)
 
 
 # From a drawing

@@ -242,9 +242,9 @@ def cut(
 ) -> Blank:
     """Mesh a blank of any outline, with holes and slits.
 
-    Fibre lines run through the points `through`, the ends of slits, the corners (of more than 20°)
-    and the extremes of the outline and its holes, in this order, unless one is there already within
-    0.4 of the spacing.
+    Fibre lines run through the points `through`, the corners (of more than 20°) and the extremes of
+    the outline and its holes, and the ends of slits, in this order, unless one is there already
+    within 0.4 of the spacing.
     The others are `size` apart from the first of these on, so that they stay where they are when
     the outline changes; they are evenly spaced between these where an edge is at 45° to the fibres,
     which then runs along diagonals of the cells.
@@ -306,7 +306,7 @@ def cut(
     corners = [_corners(ring, size) for ring in rings]
     extremes = [_extremes(*pair, size) for pair in zip(rings, corners, strict=True)]
     ends = [line[[0, -1]] for line in slits]
-    points = np.vstack([np.reshape(through, (-1, 2)) @ R, *ends, *corners, *extremes])
+    points = np.vstack([np.reshape(through, (-1, 2)) @ R, *corners, *extremes, *ends])
     lines, even = [], _on_diagonals(rings[0], size)
     for i in (0, 1):
         planes = [0.0 for plane in mirror if abs(R["xy".index(plane), i]) == 1]

@@ -29,6 +29,7 @@ IntArray = np.ndarray
 CROSSED = "the outline crosses itself between fibre lines: choose a smaller size"
 TOO_NEAR = "a slit is too near to the outline or another slit: choose a smaller size"
 EXACT = 1e-9  # of the area: round-off
+FLAT = 2e-3  # radians: sharper triangles are refused beside slits
 
 
 def cut_net(
@@ -98,7 +99,8 @@ def cut_net(
     triangles = np.vstack([triangles.reshape(-1, 3), _triangulated(faces, points, sharp)])
     if len(slit):
         enclosed = _area(points[triangles]), _area(points[rim])
-        if abs(enclosed[0] - enclosed[1]) > EXACT * enclosed[1]:
+        flat = _smallest_angles(points[triangles]).min() < FLAT
+        if flat or abs(enclosed[0] - enclosed[1]) > EXACT * enclosed[1]:
             raise InputError(TOO_NEAR)
         triangles, double = opened(triangles, slit, len(points))
         points = np.vstack([points, points[double]])

@@ -34,7 +34,7 @@ def as_lines(slits: Sequence[FloatArray]) -> Any:
 
 
 def check_slits(outline: Any, slits: Sequence[FloatArray]) -> None:
-    """Refuse (InputError) slits outside of an outline, and those that divide it."""
+    """Refuse (InputError) slits outside of an outline or along it, and those that divide it."""
     import shapely
 
     tiny = TINY * np.ptp(np.reshape(outline.bounds, (2, 2)), axis=0).max()
@@ -43,6 +43,9 @@ def check_slits(outline: Any, slits: Sequence[FloatArray]) -> None:
         at = f"slit {k} near {position(shapely.LineString(line).centroid.coords[0])}"
         if shapely.LineString(line).intersection(inner).length <= tiny:
             raise InputError(f"{at} does not lie inside the outline")
+        beside = outline.boundary.buffer(tiny)
+        if shapely.LineString(line).intersection(beside).length > 1000 * tiny:
+            raise InputError(f"{at} runs along the outline")
         parts = shapely.get_parts(outline.difference(as_lines(slits[:k]).buffer(tiny)))
         if sum(part.area > tiny**2 for part in parts) > 1:
             raise InputError(f"{at} divides the blank")

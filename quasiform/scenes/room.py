@@ -97,11 +97,8 @@ def mirror_planes(
         if outline.symmetric_difference(mirrored).area > 1e-6 * outline.area:
             broken.append(f"{ACROSS[name]} the outline differs")
             continue
-        if not mirror_slits(slits, axis, TINY * np.ptp(bounds)):
-            broken.append(f"{ACROSS[name]} the slits differ, or one lies on it")
-            continue
-        if any(tip[:, axis].min() < 0 < tip[:, axis].max() for tip in tips):
-            broken.append(f"{ACROSS[name]} it runs through a dart, whose tip would be closed")
+        if why := _broken_by_cuts(slits, tips, axis, TINY * np.ptp(bounds)):
+            broken.append(f"{ACROSS[name]} {why}")
             continue
         sides = [np.column_stack([points @ along.T, z]) for points in (flat, flat * flip)]
         off = {tool.name: _off_mirror(tool, sides, travel, fabric.thickness) for tool in tools}
@@ -122,6 +119,16 @@ def mirror_planes(
         f"symmetry are not seen (--symmetry none){more}"
     )
     return tuple(planes), [("a quarter" if len(planes) == 2 else "a half", why)]
+
+
+def _broken_by_cuts(
+    slits: Sequence[np.ndarray], tips: Sequence[np.ndarray], axis: int, near: float
+) -> str:
+    """Why cuts do not have a mirror plane; empty if they have it."""
+    if not mirror_slits(slits, axis, near):
+        return "the slits differ, or one lies on it"
+    through = any(tip[:, axis].min() < 0 < tip[:, axis].max() for tip in tips)
+    return "it runs through a dart, whose tip would be closed" * through
 
 
 def _off_mirror(tool: Tool, sides: Sequence[np.ndarray], travel: float, thickness: float) -> float:
