@@ -2,10 +2,12 @@
 
     python -m validation.slippage.forming [hemisphere-45 ...]
 
-writes a row of `forming.csv` after each run, of the configurations that are named or of all.
+writes a row of `forming.csv` after each run, of the configurations that are named or of all. A run
+that takes more than LIMIT is stopped where it is.
 """
 
 import csv
+import signal
 import sys
 import time
 from dataclasses import replace
@@ -19,6 +21,7 @@ from validation.slippage.case import MD600
 TABLE = Path(__file__).parent / "forming.csv"
 SCENES = [f"{part}-{angle}" for part in ("hemisphere", "tetrahedron", "box") for angle in (0, 45)]
 SIZE = 5.0  # mm
+LIMIT = 60.0  # s of processor time
 
 
 def row(scene: str, slip: qf.Slip | None) -> dict[str, object]:
@@ -26,7 +29,10 @@ def row(scene: str, slip: qf.Slip | None) -> dict[str, object]:
     part, angle = scene.split("-")
     fabric = replace(qf.Fabric.preset("best-fit"), slip=slip)
     model, start = qf.forming(part, float(angle), fabric, size=SIZE), time.process_time()
+    signal.signal(signal.SIGPROF, signal.default_int_handler)
+    signal.setitimer(signal.ITIMER_PROF, LIMIT)
     result = qf.refine(model, estimate=False)
+    signal.setitimer(signal.ITIMER_PROF, 0.0)
     seconds, slid = time.process_time() - start, result.summary().get("slip", {})
     return {
         "scene": scene,
