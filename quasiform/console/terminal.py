@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 LOOSE = 3.0  # %: a misfit beyond the scatter of good tests
 SHOWN = 3  # limits of trust in the terminal
+ZERO = 1e-9  # N, mm, deg: what is smaller is printed as 0
 WIDE = 2.0  # degrees: an error of the shear angle that is pointed out
 SPREAD = (
     "force_N",
@@ -123,10 +124,10 @@ def report(
 
 def _numbers(summary: Mapping[str, Any], what: str, name: str) -> dict[str, str]:
     errors = summary["estimated_errors"].items()
-    off = {name: f" ± {number(error, 2)}" for name, error in errors if error is not None}
+    off = {name: f" ± {number(error, 2, ZERO)}" for name, error in errors if error is not None}
     gamma = summary["shear_angle_deg"]
     rows = {
-        what: f"{number(summary[name])}{off.get(name, '')} {name.rpartition('_')[2]}",
+        what: f"{number(summary[name], zero=ZERO)}{off.get(name, '')} {name.rpartition('_')[2]}",
         "shear angle": f"max {gamma['max']:.2f}, p99 {gamma['p99']:.2f}"
         f"{off.get('shear_angle_deg', '')}, mean {gamma['mean']:.2f}"
         f"{off.get('shear_angle_mean_deg', '')} deg",
