@@ -20,7 +20,7 @@ WIDTHS = ((80.0, 65.0), (60.0, 70.0))  # standard deviations along x and y, mm
 PULLS = {"+x": 60.0, "-x": 60.0, "+y": 30.0, "-y": 30.0}  # N
 SCENE = """
 name = "large-part"
-travel = 40.0
+travel = 20.0
 [blank]
 shape = "rectangle"
 length = 600.0
