@@ -93,6 +93,9 @@ class AtPairs(AtPoints):
         """(r, 12, 12) force times the second derivatives of what it acts on."""
         return 0.0
 
+    def through_refresh(self, x: FloatArray, before: Any, state: Any) -> None:
+        raise InputError("no sensitivities with several plies")
+
     def gradient(self, x: FloatArray, state: Any) -> FloatArray:
         gradient, here = np.zeros(state.dofs.shape), self.acting(x, state)
         J = self.slopes(x, state, here.rows)
@@ -205,17 +208,14 @@ class PlyContact(AtPairs):
     def carried(self, state: Pairs | None, old: Standing | None, new: Standing) -> Pairs:
         return self.initial(new.x)
 
-    def through_refresh(self, x: FloatArray, before: Any, state: Any) -> None:
-        raise InputError("no sensitivities with several plies")
-
     def penetration(self, x: FloatArray, state: Pairs) -> FloatArray:
         """(m,) p, mm; negative where the plies are clear of each other, or without a pair."""
         p = self.reach - self.side * ((state.normal * state.relative(x)).sum(1) - state.rise)
         return np.where(state.share > 0, p, -np.inf)
 
-    def pressure(self, x: FloatArray, state: Pairs) -> FloatArray:
-        """(m,) contact pressure, MPa: at half the weight, this is that of one direction."""
-        return self._law(self.penetration(x, state))[1]
+    def pressure(self, p: FloatArray) -> FloatArray:
+        """(m,) contact pressure, MPa, by the penetration: at half the weight, of one direction."""
+        return self._law(p)[1]
 
     def _law(self, p: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         return compaction_law(p, self.compaction, self.blend)
@@ -306,8 +306,7 @@ class PlyFriction(AtPairs, Friction):
         return PlyRubbing(*given, *table, pairs.triangles, *table)
 
     def _limit(self, p: FloatArray, pairs: Pairs) -> FloatArray:
-        pressure = compaction_law(p, self.contact.compaction, self.contact.blend)[1]
-        return self.friction * self.contact.area * pairs.share * pressure
+        return self.friction * self.contact.area * pairs.share * self.contact.pressure(p)
 
     def refresh(self, x: FloatArray, state: PlyRubbing) -> PlyRubbing:
         """Take pairs, normals and normal forces from x; what has slid is the same by all pairs.
@@ -331,9 +330,6 @@ class PlyFriction(AtPairs, Friction):
         now = {"triangles": pairs.triangles, "dofs": pairs.dofs, "weights": pairs.weights}
         now |= {"normal": pairs.normal, "limit": limit, "origin": origin, "anchor": anchor}
         return replace(state, **now)
-
-    def through_refresh(self, x: FloatArray, before: Any, state: Any) -> None:
-        raise InputError("no sensitivities with several plies")
 
     def commit(self, x: FloatArray, state: PlyRubbing) -> PlyRubbing:
         """Move the anchors of what slips, by the present pairs; what has left loses its anchor."""

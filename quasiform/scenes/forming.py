@@ -251,8 +251,9 @@ def _check_layers(layers: Sequence[Layer], size: float, own: Blank | None) -> No
                 "forming in space needs a bending stiffness: bending_warp or _weft is zero"
             )
         if not own and size > (largest := _shorter_side(layer.outline) / 8):
-            words = f"must not exceed an eighth of the blank, {largest:g}, got {size:g}"
-            raise InputError(f"size {words}")
+            raise InputError(
+                f"size must not exceed an eighth of the blank, {largest:g}, got {size:g}"
+            )
 
 
 def _mirror_planes(

@@ -46,7 +46,7 @@ def prescribe(model: Model, dof: int, rows: np.ndarray) -> None:
 
 
 def over_travel(rows: np.ndarray, unit: str) -> str:
-    """Rows (n, 2) over the travel in words."""
+    """Rows (n, 2) over the travel as a text."""
     return ", ".join(f"{value:g} {unit} at {travel:g} mm" for travel, value in rows)
 
 

@@ -170,6 +170,8 @@ def settle(equations: Equilibrium, x: FloatArray) -> FloatArray:
             return x
         fresh.append(equations.lagged())
         used, fresh = used[-6:], fresh[-6:]
+        if not stack and i < 2:
+            continue
         F = np.array(fresh)
         change = F - np.array(used)
         steps = np.diff(change, axis=0)
@@ -178,7 +180,7 @@ def settle(equations: Equilibrium, x: FloatArray) -> FloatArray:
                 best = -share * (change[-2] @ steps[-1]) / max(steps[-1] @ steps[-1], 1e-300)
                 share = float(np.clip(best, LEAST_SHARE, 1.0))
             equations.lag(used[-1] + share * change[-1])
-        elif i > 1:
+        else:
             shares = np.linalg.lstsq(steps.T, change[-1], rcond=1e-6)[0]
             equations.lag(np.maximum(F[-1] - shares @ np.diff(F, axis=0), 0.0))
     raise NotConvergedError(f"friction does not settle in {passes} passes: residual {residual:.1e}")
