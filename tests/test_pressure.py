@@ -156,8 +156,22 @@ stroke = [[0.0, 0.0], [20.0, 20.0], [40.0, 20.0], [60.0, -1.0]]
 
 
 @pytest.fixture(scope="module")
-def staged(tmp_path_factory):
-    return qf.solve(scene(tmp_path_factory.mktemp("staged"), STAGES, size=25.0), estimate=False)
+def staged_by_increments(tmp_path_factory):
+    model, seen = scene(tmp_path_factory.mktemp("staged"), STAGES, size=25.0), []
+    result = qf.solve(model, lambda progress: seen.append(progress.travel), estimate=False)
+    return result, np.array([0.0, *seen])
+
+
+@pytest.fixture(scope="module")
+def staged(staged_by_increments):
+    return staged_by_increments[0]
+
+
+def test_a_stage_begins_with_a_short_increment(staged_by_increments):
+    result, travels = staged_by_increments
+    steps = dict(zip(travels[:-1].tolist(), np.diff(travels), strict=True))
+    for stage in (20.0, 30.0, 40.0):
+        assert steps[stage] == pytest.approx(result.model.increment / 16)
 
 
 def test_a_punch_closes_dwells_under_a_pressure_and_goes_back(staged):

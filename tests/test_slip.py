@@ -129,6 +129,20 @@ def test_slip_takes_few_more_factorisations_than_none():
     assert slips.linear_solves < 1.3 * plain.linear_solves
 
 
+def test_what_has_slid_has_no_stiffness_along_its_slip(slid):
+    """The tangent of sliding on: a node that has been committed while it slid is at its limit."""
+    term, state, x = slid.model.slip, slid.memory[1], slid.states[-1].x
+    d = x[term.dofs] - state.p
+    r = np.linalg.norm(d, axis=1)
+    sliding = r > 0.999999 * term.tau / term.K
+    assert 0 < sliding.sum() < len(r)
+    along = np.einsum("ni,nij,nj->n", d, term.hessian(x, state, False), d) / np.maximum(
+        term.area * r**2, 1e-300
+    )
+    assert_allclose(along[sliding], 0.0, atol=1e-9 * term.K)
+    assert_allclose(along[~sliding & (r > 0)], term.K)
+
+
 def test_turned_as_a_whole_nothing_changes(slid):
     """Permanent slip turns with the fibres."""
     x, R = slid.states[-1].x, rotation(37.0)

@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 import quasiform as qf
 from quasiform.checks import InputError
 from quasiform.energy.bending import Bending
+from quasiform.energy.contact import at_nodes
 from quasiform.energy.membrane import membrane_of
 from quasiform.fabric import fabric_of
 from quasiform.handover.pattern import FlatPattern, cut_lines
@@ -40,6 +41,16 @@ SLITS = {  # lines, how many nodes are doubled along the fibres (warp along x)
 def slit_blank(lines, orientation=0.0, shape=BOX, **more):
     lines = [np.array(line, dtype=float) for line in lines]
     return cut(shape, SIZE, orientation, through=((0.0, 0.0),), slits=lines, **more)
+
+
+def test_contact_at_the_end_of_a_slit_has_its_own_place_along_the_line_that_parts():
+    blank = slit_blank([[(-10, 0), (10, 0)]])
+    points = at_nodes(blank)
+    ends = np.flatnonzero((np.abs(blank.nodes - [10.0, 0.0]) < 1e-9).all(1))
+    inner = np.flatnonzero((np.abs(blank.nodes - [15.0, 0.0]) < 1e-9).all(1))
+    assert (points.weights[ends, 1:3] == 0).all()
+    assert (points.weights[inner, 1:3] > 0).all()
+    assert_allclose(points.weights.sum(1), 1.0)
 
 
 @pytest.mark.parametrize("orientation", [0.0, 45.0, 20.0])
