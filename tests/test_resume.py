@@ -20,6 +20,7 @@ from quasiform.console.cli import main
 from quasiform.result.files import FILES, SENSITIVITY
 from quasiform.scenes import scene_file
 from quasiform.solve import Journal, dependence, journal
+from quasiform.solve.run import Run
 
 
 def forming(size=12.0, travel=20.0):
@@ -377,7 +378,8 @@ def test_a_result_is_kept_before_its_error_is_estimated(tmp_path, monkeypatch):
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
 @pytest.mark.parametrize("wait", ["increment_0000.vtu", "increment_0002.vtu"])
 def test_an_interrupted_command_says_so_in_a_line_and_keeps_its_increments(tmp_path, name, wait):
-    words = ["form", "hemisphere", "--size", "8", "--no-estimate", "--out", str(tmp_path / "out")]
+    # small enough for the path to take much longer than a busy machine needs to see its first files
+    words = ["form", "hemisphere", "--size", "3", "--no-estimate", "--out", str(tmp_path / "out")]
     command = [sys.executable, "-m", "quasiform", *words]
     with subprocess.Popen(command, stdout=-1, stderr=-1, text=True, cwd=tmp_path) as run:
         while not (tmp_path / "out" / wait).exists() and run.poll() is None:
@@ -410,6 +412,24 @@ def test_an_interrupt_in_compiled_code_is_one():
         error = SystemError("returned a result with an exception set")
         raise error from cause
 
-    for cause, kind in ((KeyboardInterrupt(), KeyboardInterrupt), (ValueError(), SystemError)):
+    nested = SystemError("unpickled with an exception set")
+    nested.__cause__ = KeyboardInterrupt()
+    causes = (KeyboardInterrupt(), nested, ValueError())
+    kinds = (KeyboardInterrupt, KeyboardInterrupt, SystemError)
+    for cause, kind in zip(causes, kinds, strict=True):
         with pytest.raises(kind), interruptible():
             interrupted(cause)
+
+
+def test_an_interrupt_in_compiled_code_ends_an_estimate_not_the_result(tmp_path, monkeypatch):
+    advance = Run.advance
+
+    def interrupted(self, *arguments, **named):
+        if self.model.size > 12:
+            raise SystemError from KeyboardInterrupt()
+        return advance(self, *arguments, **named)
+
+    monkeypatch.setattr(Run, "advance", interrupted)
+    result = qf.solve(forming(), out=tmp_path)
+    assert result.reason == readable(tmp_path)["reason"] == dependence.INTERRUPTED
+    assert readable(tmp_path)["reached_mm"] == result.model.travel

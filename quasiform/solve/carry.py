@@ -13,7 +13,7 @@ import time
 
 import numpy as np
 
-from ..checks import InputError
+from ..checks import InputError, interruptible
 from ..energy.term import Standing
 from ..model import Model
 from ..net.transfer import beside_slits, smoothly
@@ -28,6 +28,7 @@ MOST = 100  # Newton iterations of one solve
 LAST = 1 / 16  # of an increment, followed on the other mesh
 
 
+@interruptible()
 def carry(source: Result, model: Model, settings: Settings, saddles: bool = True) -> Result:
     """Solve the end of a result on the mesh of another model of the same recipe.
 

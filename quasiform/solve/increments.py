@@ -66,6 +66,7 @@ def report(callback: Callback | None, stage: str) -> Callback | None:
     return getattr(callback, "step", None)
 
 
+@interruptible()
 def follow(
     model: Model,
     settings: Settings,
@@ -98,11 +99,11 @@ def follow(
         try:
             with interruptible():
                 reason = steps.take()
-            if run.travel == s:
-                continue
-            failed = record()
-            reason = reason or failed
-            answer = callback(_progress(run, time.perf_counter() - clock)) if callback else None
+                if run.travel == s:
+                    continue
+                failed = record()
+                reason = reason or failed
+                answer = callback(_progress(run, time.perf_counter() - clock)) if callback else None
         except KeyboardInterrupt:
             if not partial:
                 raise
