@@ -233,6 +233,27 @@ def test_errors_by_parameters_beside_that_of_the_mesh(strip):
     assert found["shear_angle_deg"]["mesh"] is None
 
 
+def test_a_saddle_left_by_less_than_a_tenth_of_the_thickness_is_no_other_path(strip):
+    little = replace(strip, rescues={"saddle left": 1}, parted=0.01)
+    found, expected = (result.sensitivity(["thickness"]) for result in (little, strip))
+    assert found.derivatives == expected.derivatives
+
+
+def test_a_polish_that_does_not_end_nearby_keeps_the_state_of_the_run(hemisphere, monkeypatch):
+    name = "fabric.thickness"
+    expected = hemisphere.sensitivity([name]).derivatives[name]["force_N"]
+    solve = sensitivity._WholeTangent.solve
+
+    def far(self, b):
+        x = solve(self, b)
+        return x * np.nan if b.ndim == 1 and np.abs(x).max() > 1e-6 else x  # the polish only
+
+    monkeypatch.setattr(sensitivity._WholeTangent, "solve", far)
+    monkeypatch.setattr(sensitivity, "_check_motion", lambda *given: None)  # its rates are wrong
+    found = hemisphere.sensitivity([name]).derivatives[name]["force_N"]
+    assert found == pytest.approx(expected, rel=0.02)
+
+
 @pytest.mark.parametrize(
     ("change", "why"),
     [

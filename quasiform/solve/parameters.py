@@ -20,7 +20,8 @@ from ..scenes.scene_file import SceneFile, changed, scene_toml
 NO_PARAMETER = "name", "format", "size", "travel", "areas", "increments", "outputs", "run", "law"
 BESIDE = "provenance", "shear_range"  # of a fabric: what no state depends on
 OF_THE_MESH = "blank.", "angle", "length", "width", "mesh", "displacement"  # only if asked for
-STEP = 3e-5  # relative to its value: by how much a parameter is changed for a derivative
+STEP = 1e-5  # relative to its value: by how much a parameter is changed for a derivative
+CLOSE = 1e-6  # the same with contact, whose forces are smooth over a shorter way
 READ_ANEW = "tools.", "blank.", "fabric.thickness"
 
 

@@ -25,16 +25,17 @@ import numpy as np
 from ..checks import InputError, suggestion
 from ..model import Model
 from ..potential import Memory, Potential
-from ..result.certificate import certify, one_of_many
+from ..result.certificate import LIFTED, certify, one_of_many
 from ..result.outcome import Outcome
 from ..unknowns import FloatArray, IntArray
 from .linear import linear_solver, mirrored
-from .parameters import STEP, Parameter, named, parameters, with_value
+from .parameters import CLOSE, STEP, Parameter, named, parameters, with_value
 
 LEFT = 1e-4  # of the first step of a neighbour: after a shorter one nothing is evaluated anew
 MOST = 4  # steps of a neighbour in an increment
 ROUND_OFF = 1e-12  # mm, of unknowns
-NEWTON, NEAR = 8, 1e-5  # factorisations an increment at most, and the step in mm that ends them
+NEWTON, NEAR = 8, 1e-6  # factorisations an increment at most, and the step in mm that ends them
+FAR = 1.0  # mm: a step as long does not end nearby
 RATE = 1e-4  # mm of travel, by which the rate of motion is found
 JUMPED = 0.15  # of the motion in an increment: what the rates at both ends may miss of it
 
@@ -95,7 +96,8 @@ class Track:
         base, known = result.model, parameters(result.model)
         asked = [p for p in known.values() if p.listed]
         asked = asked if chosen is None else [named(known, name) for name in chosen]
-        steps = {p.name: STEP * p.value for p in asked}
+        step = CLOSE if base.contacts else STEP
+        steps = {p.name: step * p.value for p in asked}
         others = [with_value(base, p.name, p.value + steps[p.name]) for p in asked]
         runs = [_Run.begin(model) for model in (base, *others)]
         rows = self._followed(runs, result)
@@ -134,7 +136,7 @@ class Track:
         if result.snaps:
             at = f"{result.snaps[0]['to_mm']:.4g} mm"
             return f"the sheet jumped to another state near {at}: there the path has no derivative"
-        if result.rescues.get("saddle left"):
+        if result.parted > LIFTED * result.model.sheet.fabric.thickness:
             words = f"the sheet became unstable and buckled away, by {result.parted:.2g} mm"
             return f"{words}: there the path has no derivative"
         if result.stabilisation:
@@ -225,8 +227,11 @@ def _polished(run: _Run, x: FloatArray, tangent: _WholeTangent) -> At:
     for _ in range(NEWTON):
         tangent.factor(end[0], run.memory, end[1])
         step = tangent.solve(end[2][tangent.free])
-        if np.abs(step).max(initial=0.0) < NEAR:
+        length = np.abs(step).max(initial=0.0)
+        if length < NEAR:
             return end
+        if not length < FAR:
+            break
         near = end[0].copy()
         near[tangent.free] -= step
         end = run.at(near)
