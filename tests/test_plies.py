@@ -15,6 +15,7 @@ from quasiform.energy.contact import Contact
 from quasiform.energy.friction import STICK
 from quasiform.energy.membrane import Membrane
 from quasiform.energy.plies import PlyContact, PlyFriction
+from quasiform.energy.stitches import Stitches
 from quasiform.energy.weight import GRAVITY, SheetWeight, ToolWeight
 from quasiform.recipe import Recipe
 from quasiform.result.assumed import assumed
@@ -224,7 +225,99 @@ def test_two_joined_plies_bend_with_the_stretch_of_their_fibres():
     assert -end[:, 2].mean() == pytest.approx(theory.heavy_elastica(k)[1] * length, rel=0.01)
 
 
+# Stitches
+
+
+def sewn(slack=0.1):
+    """Two flat plies on each other, sewn at three points; the stitches and where all nodes are."""
+    unknowns = Unknowns()
+    plies = [
+        unknowns.sheet(qf.rectangle(60.0, 50.0, 10.0, angle), FABRIC, 3, 0.0, name)
+        for name, angle in (("ply 1", 0.0), ("ply 2", 30.0))
+    ]
+    x = np.zeros(unknowns.size)
+    for ply, z in zip(plies, (T0, 0.0), strict=True):
+        x[ply.dofs] = np.column_stack([ply.blank.nodes, np.full(len(ply.blank.nodes), z)])
+    points = np.array([[0.0, 0.0], [11.0, -7.0], [-20.0, 13.0]])
+    threads = Stitches(*plies, points, np.array([2.0, 5.0, 10.0]), np.full(3, T0 + slack))
+    return threads, plies, x
+
+
+@pytest.mark.parametrize("away", [(0.3, 0.4, 0.0), (0.0, 0.0, 0.5)])
+def test_a_stitch_pulls_from_its_length_on(away):
+    threads, (above, _), x = sewn()
+    assert threads.energy(x).sum() == 0.0
+    x[above.dofs] += away
+    longer = np.linalg.norm(np.add(away, (0.0, 0.0, T0))) - T0 - 0.1
+    assert_allclose(threads.energy(x), 0.5 * np.array([2.0, 5.0, 10.0]) * longer**2, rtol=1e-9)
+    assert threads.largest_force(x) == pytest.approx(10.0 * longer, rel=1e-9)
+    g = np.zeros(len(x))
+    threads.add_gradient(g, x, None)
+    assert np.linalg.norm(g[above.dofs].sum(0)) == pytest.approx(17.0 * longer, rel=1e-9)
+
+
+def test_stitches_have_exact_derivatives_and_no_force_on_the_whole():
+    threads, _, x = sewn()
+    rng, h = np.random.default_rng(0), 1e-6
+    x = x + rng.normal(scale=0.3, size=len(x))
+    assert 0 < (threads.energy(x) > 0).sum()
+    d = rng.normal(size=len(x))
+    ends = [x + h * d, x - h * d]
+    slope = np.subtract(*(threads.energy(end) for end in ends)) / (2 * h)
+    local = d[threads.dofs]
+    assert_allclose((threads.gradient(x) * local).sum(1), slope, rtol=1e-6, atol=1e-9)
+    change = np.subtract(*(threads.gradient(end) for end in ends)) / (2 * h)
+    H = threads.hessian(x, None, False)
+    assert_allclose(np.einsum("mij,mj->mi", H, local), change, rtol=1e-5, atol=1e-6)
+    assert np.linalg.eigvalsh(H).min() > -1e-9
+    forces = threads.gradient(x).reshape(3, 6, 3)
+    assert_allclose(forces.sum(1), 0.0, atol=1e-12)
+
+
+def test_plies_that_turn_together_do_not_pull_their_stitches():
+    threads, plies, x = sewn()
+    turn = qf.scenes.forming.rotation(40.0)
+    for ply in plies:
+        x[ply.dofs[:, ::2]] = x[ply.dofs[:, ::2]] @ turn  # about y
+    assert threads.energy(x).sum() == 0.0
+
+
+def test_a_ply_that_is_pulled_out_stretches_its_stitch():
+    """Without friction: the force of the thread, which leans over by 2 mm in a thickness."""
+    model = pulled_out(5.0, 0.0, 2.0)
+    above, pulled, _ = model.sheets
+    place, stiffness, length = np.array([[5.0, 0.0]]), np.array([4.0]), np.array([T0])
+    model.terms.append(Stitches(above, pulled, place, stiffness, length))
+    result = qf.solve(model, estimate=False)
+    gap = np.ptp([s.positions(result.states[-1].x)[:, 2].mean() for s in (above, pulled)])
+    expected = 4.0 * (np.hypot(2.0, gap) - T0) * 2.0 / np.hypot(2.0, gap)
+    assert result.status == "completed"
+    assert result.force == pytest.approx(expected, rel=5e-3)  # at the stitch the plies bend a little
+
+
 # Scenes
+
+
+def stitched(points=((0.0, 0.0),), joined=False, **keys):
+    seam = {"points": [list(point) for point in points], **keys}
+    return {"orientation": 0.0, "joined": joined, "stitches": [seam]}
+
+
+def test_stitches_of_a_scene():
+    line = stitched(points=[[-50.0, 0.0], [50.0, 0.0]], spacing=20.0, stiffness=3.0, slack=0.2)
+    line["stitches"].append({"points": [[0.0, 30.0]]})
+    model = stacked([0, line])
+    assert model.share == 1.0  # no mirror planes
+    (threads,) = (term for term in model.terms if isinstance(term, Stitches))
+    assert_allclose(threads.stiffness, [3.0] * 6 + [10.0])
+    assert_allclose(threads.length, [T0 + 0.2] * 6 + [T0])
+    assert "plies 2.stitches 2.stiffness" in assumed(model)
+    assert "plies 2.stitches 1.stiffness" not in assumed(model)
+    assert "7 threads" in dict(model.description)["stitches between ply 1 and ply 2"]
+    again = Recipe.read(model.recipe.written()).build()
+    (same,) = (term for term in again.terms if isinstance(term, Stitches))
+    assert_array_equal(same.dofs, threads.dofs)
+    assert_array_equal(same.length, threads.length)
 
 
 def stacked(plies, size=30.0, travel=2.0, **given):
@@ -293,6 +386,13 @@ def test_a_coefficient_between_plies_that_is_not_given_is_assumed():
         ([0, {"law": "nothing"}], r"\[plies 2\] unknown law"),
         ([0, {"fabric": {"thickness": -1.0}}], r"\[plies 2.fabric\] .*thickness"),
         ([0] * 13, "at most 12 plies"),
+        ([stitched(), 0], r"\[plies 1\] stitches: there is no ply above it"),
+        ([0, stitched(points=[[200.0, 0.0]])], r"\[plies 2\] a stitch lies outside the ply"),
+        ([0, stitched(points=[])], "stitches 1.* has no points"),
+        ([0, stitched(spacing=5.0)], "a line of two points"),
+        ([0, stitched(points=[[0.0, 0.0], [9.0, 0.0]], spacing=1e-4)], "1 to 10,000 stitches"),
+        ([0, stitched(stiffness=0.0)], "stiffness must be a positive number"),
+        ([0, stitched(joined=True)], "no stitches of their own"),
     ],
 )
 def test_stacks_that_cannot_be_formed(plies, words):

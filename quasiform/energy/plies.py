@@ -29,7 +29,7 @@ thickness off the mean surfaces, also turns them.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -395,9 +395,9 @@ def _curving(
     return from_legs.T @ H @ from_legs
 
 
-def pair_name(pair: Sequence[PlyContact]) -> str:
+def pair_name(pair: Iterable[Sheet]) -> str:
     """Numbers of two plies, such as 1_2."""
-    return "_".join(contact.sheet.name.rpartition(" ")[2] for contact in pair)
+    return "_".join(sheet.name.rpartition(" ")[2] for sheet in pair)
 
 
 def slip_between(start: FloatArray, pair: Sequence[PlyContact], x: FloatArray) -> float:

@@ -243,7 +243,8 @@ class Outcome:
         """99th percentile of the slip between two plies at the end, mm, by their numbers (1_2)."""
         ends = self.model.x0, self.states[-1].x
         return {
-            pair_name(pair): slip_between(ends[0], pair, ends[1]) for pair in self.model.ply_pairs
+            pair_name(c.sheet for c in pair): slip_between(ends[0], pair, ends[1])
+            for pair in self.model.ply_pairs
         }
 
     def shear_angle_at(self, points: FloatArray) -> FloatArray:

@@ -112,7 +112,9 @@ def between_plies(model: Model, x: FloatArray) -> list[dict[str, FloatArray]]:
         fields = {"stack_thickness": above[sheet.name] + own[sheet.name] + below[sheet.name]}
         for pair in pairs:
             slid = [np.nan_to_num(c.slid(model.x0, x)) for c in pair if c.sheet is sheet]
-            fields[f"slip_{pair_name(pair)}"] = slid[0] if slid else 0.0 * own[sheet.name]
+            fields[f"slip_{pair_name(c.sheet for c in pair)}"] = (
+                slid[0] if slid else 0.0 * own[sheet.name]
+            )
         found.append({name: values[sheet.whole[1]] for name, values in fields.items()})
     return found
 

@@ -23,6 +23,7 @@ from ..energy.contact import Contact, at_edges, surrounds
 from ..energy.friction import Friction
 from ..energy.plies import pair_name, slip_between
 from ..energy.softening import Softening, bending_terms
+from ..energy.stitches import Stitches
 from ..energy.term import Term
 from ..energy.weight import GRAVITY, SheetWeight, ToolWeight, load_of
 from ..fabric import Fabric, fabric_of
@@ -202,7 +203,7 @@ def formed_between_tools(
     fabric = plies[0].fabric if file.plies else fabric
     parameters = {"scene": name} | ({"scene_file": file.source} if file.source else {})
     parameters |= {"orientation": orientation, "law": fabric.name, "size": size, "travel": travel}
-    defaults = dict.fromkeys(stack.assumed_frictions(file) + assumed_defaults(file), "assumed")
+    defaults = dict.fromkeys(stack.assumed_between(file) + assumed_defaults(file), "assumed")
     parameters |= {"symmetry": symmetry, "fabric": asdict(fabric)}
     parameters["standings"] = defaults | dict(file.standings)
     if file.plies:
@@ -463,8 +464,13 @@ def _measure(model: Model) -> None:
         start = f"ply_{k}_" * (k > 1)
         model.measures[f"{start}shear_angle_max_deg"] = ply.membrane.largest_shear_angle
         model.measures[f"{start}draw_in_mm"] = partial(_draw_in, ply)
+    for term in model.terms:
+        if isinstance(term, Stitches):
+            model.measures[f"stitch_{pair_name(term.sheets)}_N"] = term.largest_force
     for pair in model.ply_pairs:
-        model.measures[f"slip_{pair_name(pair)}_mm"] = partial(slip_between, model.x0, pair)
+        model.measures[f"slip_{pair_name(c.sheet for c in pair)}_mm"] = partial(
+            slip_between, model.x0, pair
+        )
 
 
 def _draw_in(ply: Model, x: np.ndarray) -> float:

@@ -75,6 +75,7 @@ def mirror_planes(
         (symmetry == "none", "symmetry is switched off"),
         (file.mesh != "fibre", "the mesh does not follow the fibres"),
         (file.supports or file.grippers, "mirror planes are not sought with supports"),
+        (any(p.stitches for p in file.plies), "mirror planes are not sought with stitches"),
     ):
         if left_out:
             return (), [("the whole blank", why)]

@@ -11,7 +11,7 @@ The tables of a file are pydantic models, which become a `SceneFile` of plain pa
 import difflib
 import tomllib
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import reduce
 from operator import or_
 from pathlib import Path
@@ -49,6 +49,7 @@ from .scene_parts import (
     Ply,
     Region,
     SceneFile,
+    Seam,
     Slit,
     Support,
     Where,
@@ -242,6 +243,19 @@ def _blank(table: _Blank | _OwnMesh) -> dict[str, Any]:
     return sheet | {"blank": None if own else _region(table), "mesh_scale": table.mesh_scale or 1.0}
 
 
+class _Seam(Table):
+    points: checked(_points, type="array", items=_PAIR, description="x, y of the flat ply, mm")
+    spacing: number("Of the stitches of a line through the points", "mm") = OPEN
+    stiffness: number("Of a thread", "N/mm") = OPEN
+    slack: number("Of a thread", "mm", zero=True) = 0.0
+
+
+def _seam(table: _Seam) -> Seam:
+    seam = Seam(**{key: getattr(table, key) for key in _Seam.model_fields})
+    _ = seam.places  # refuses what is none
+    return seam
+
+
 class _Ply(Table):
     orientation: number("Angle of its warp to that of the scene", "deg", signed=True) = 0.0
     law: checked(_law, type="string", description="That of the scene if left out") = OPEN
@@ -250,6 +264,7 @@ class _Ply(Table):
     offset: POINT = (0.0, 0.0)
     joined: _flag("Whether it is stitched or bonded to the ply above it") = False
     friction: number("Coulomb coefficient with the ply above it", "1", zero=True) = OPEN
+    stitches: _several(Annotated[_Seam, AfterValidator(_seam)]) = []  # noqa: RUF012
 
 
 def _ply(number: int, table: _Ply, law: str | Fabric, folder: Path) -> Ply:
@@ -258,7 +273,8 @@ def _ply(number: int, table: _Ply, law: str | Fabric, folder: Path) -> Ply:
     if table.fabric is not None:
         own = _fabric(table.fabric, own or law, f"[plies {number}.fabric]")
     keys = ("orientation", "blank", "offset", "joined", "friction")
-    return Ply(law=own, **{key: getattr(table, key) for key in keys})
+    own = {"law": own, "stitches": tuple(table.stitches)}
+    return Ply(**own, **{key: getattr(table, key) for key in keys})
 
 
 class _Diaphragm(Table):
@@ -660,7 +676,9 @@ def _outlined(part: Ply | ElasticSheet) -> dict[str, Any]:
 
 
 def _ply_table(ply: Ply) -> dict[str, Any]:
-    table = {key: value for key, value in _outlined(ply).items() if key != "law"}
+    table = {key: value for key, value in _outlined(ply).items() if key not in ("law", "stitches")}
+    if ply.stitches:
+        table["stitches"] = [asdict(seam) for seam in ply.stitches]
     if isinstance(ply.law, Fabric):
         return table | {"fabric": ply.law.written()}
     return table | {"law": Path(ply.law) if ply.law and ply.law.endswith(".toml") else ply.law}

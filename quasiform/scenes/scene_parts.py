@@ -25,6 +25,7 @@ REGION: dict[str, tuple[Callable[..., shapely.Polygon], tuple[str, ...]]] = {
     "polygon": (outlines.polygon, ("points",)),
     "file": (outlines.read_outline, ("file", "scale", "layer")),
 }
+MOST_STITCHES = 10_000  # of a line
 OUTWARDS = {"+x": (1.0, 0.0), "-x": (-1.0, 0.0), "+y": (0.0, 1.0), "-y": (0.0, -1.0)}
 MOTIONS = {"punch": "driven", "die": "fixed", "holder": "free"}
 
@@ -161,6 +162,31 @@ class Gripper:
 
 
 @dataclass(frozen=True)
+class Seam:
+    """Stitches at points of the flat ply, or along the line through them; mm."""
+
+    points: tuple[Point, ...]
+    spacing: float | None = None  # of the stitches of a line; None: one at each point
+    stiffness: float | None = None  # of a thread, N/mm
+    slack: float = 0.0  # of a thread, mm
+
+    @cached_property
+    def places(self) -> np.ndarray:
+        """(m, 2) places of its stitches, mm; InputError if there are none, or too many."""
+        if not self.points:
+            raise InputError("has no points")
+        if self.spacing is None:
+            return np.array(self.points)
+        if len(self.points) < 2:
+            raise InputError("spacing goes with a line of two points or more")
+        line = shapely.LineString(self.points)
+        if not 0 < (count := line.length / self.spacing) < MOST_STITCHES:
+            raise InputError(f"a line has 1 to {MOST_STITCHES:,} stitches, got {count:.3g}")
+        along = self.spacing * np.arange(int(count * (1 + 1e-9)) + 1)
+        return shapely.get_coordinates(shapely.line_interpolate_point(line, along))
+
+
+@dataclass(frozen=True)
 class Ply:
     """One layer of a stack, from the punch down."""
 
@@ -170,6 +196,7 @@ class Ply:
     offset: Point = (0.0, 0.0)  # by how much the outline is moved, mm
     joined: bool = False  # whether it is stitched or bonded to the ply above it
     friction: float | None = None  # Coulomb coefficient with the ply above it
+    stitches: tuple[Seam, ...] = ()  # to the ply above it
 
 
 @dataclass(frozen=True)

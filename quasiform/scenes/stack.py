@@ -19,13 +19,15 @@ import shapely
 
 from ..checks import InputError
 from ..energy.plies import PlyContact, PlyFriction
+from ..energy.stitches import Stitches
 from ..energy.term import Term
 from ..fabric import Fabric, fabric_of
 from ..model import Model
 from ..net.slits import as_lines
-from .scene_parts import SceneFile
+from .scene_parts import SceneFile, Seam
 
 FRICTION = 0.3  # of ply on ply, where the scene gives none (assumed: no public value was found)
+THREAD = 10.0  # N/mm, stiffness of a stitch where the scene gives none (assumed)
 MOST = 12  # plies
 EPS = 1e-6  # of an area: what is smaller is round-off
 
@@ -42,6 +44,7 @@ class Layer:
     plies: tuple[int, ...]  # their numbers in the scene, from 1 on; none: the scene has one sheet
     slits: tuple[np.ndarray, ...] = ()  # lines (k, 2) along which it is cut, mm
     darts: tuple[shapely.Polygon, ...] = ()  # that are cut out of the outline
+    stitches: tuple[Seam, ...] = ()  # to the layer above it
 
 
 def layers_of(
@@ -65,7 +68,7 @@ def layers_of(
             raise InputError(f"[plies {i}] {error}") from error
         if law.slip is not None:
             raise InputError(f"[plies {i}] slip of the rovings is not possible with several plies")
-        layer = Layer("", own, angle, law, mu, (i,), *cuts)
+        layer = Layer("", own, angle, law, mu, (i,), *cuts, ply.stitches)
         found.append(_joined(found.pop(), layer) if ply.joined else layer)
         if len(found) > 1 and not _overlap(found[-1].outline, found[-2].outline):
             raise InputError(f"[plies {i}] does not overlap the ply above it")
@@ -79,9 +82,16 @@ def _check_possible(file: SceneFile) -> None:
     if len(file.plies) > MOST:
         raise InputError(f"at most {MOST} plies, got {len(file.plies)}")
     first = file.plies[0]
-    if first.joined or first.friction is not None:
-        key = "joined" if first.joined else "friction"
-        raise InputError(f"[plies 1] {key}: there is no ply above it")
+    for key, given in (
+        ("joined", first.joined),
+        ("friction", first.friction is not None),
+        ("stitches", first.stitches),
+    ):
+        if given:
+            raise InputError(f"[plies 1] {key}: there is no ply above it")
+    for i, ply in enumerate(file.plies, 1):
+        if ply.joined and ply.stitches:
+            raise InputError(f"[plies {i}] joined plies have no stitches of their own")
     if isinstance(file.mesh, Path) or file.mesh != "fibre":
         raise InputError("[[plies]] need mesh = 'fibre'")
     if file.supports or file.grippers:
@@ -173,7 +183,30 @@ def between_plies(model: Model, layers: Sequence[Layer]) -> list[Term]:
     if left_out:
         why = "other plies lie between, or they do not overlap"
         model.description.append((f"contact left out: {', '.join(left_out)}", why))
-    return [*contacts, *frictions]
+    return [*contacts, *frictions, *_stitched(model, layers)]
+
+
+def _stitched(model: Model, layers: Sequence[Layer]) -> list[Stitches]:
+    """Stitches of each layer to the one above it; InputError for one outside of a ply."""
+    found = []
+    for k, layer in enumerate(layers):
+        if not layer.stitches:
+            continue
+        above, below = model.sheets[k - 1], model.sheets[k]
+        near = 0.5 * (above.fabric.thickness + below.fabric.thickness)
+        rows = [
+            (place, THREAD if seam.stiffness is None else seam.stiffness, near + seam.slack)
+            for seam in layer.stitches
+            for place in seam.places
+        ]
+        points, *threads = map(np.array, zip(*rows, strict=True))
+        try:
+            found.append(Stitches(above, below, points, *threads))
+        except InputError as error:
+            raise InputError(f"[plies {layer.plies[0]}] {error}") from error
+        what = f"stitches between {above.name} and {below.name}"
+        model.description.append((what, f"{len(points)} threads, taut from {near:.3g} mm on"))
+    return found
 
 
 def described(layers: Sequence[Layer]) -> list[tuple[str, str]]:
@@ -216,10 +249,16 @@ def written(layers: Sequence[Layer]) -> list[dict[str, Any]]:
     ]
 
 
-def assumed_frictions(file: SceneFile) -> list[str]:
-    """Dotted names of coefficients between plies that the scene does not give."""
-    pairs = enumerate(file.plies[1:], 2)
-    return [f"plies {i}.friction" for i, p in pairs if p.friction is None and not p.joined]
+def assumed_between(file: SceneFile) -> list[str]:
+    """Dotted names of numbers between plies that the scene does not give."""
+    found = []
+    for i, ply in enumerate(file.plies[1:], 2):
+        if ply.friction is None and not ply.joined:
+            found.append(f"plies {i}.friction")
+        for k, seam in enumerate(ply.stitches, 1):
+            if seam.stiffness is None:
+                found.append(f"plies {i}.stitches {k}.stiffness")
+    return found
 
 
 def as_tables(plies: Sequence[Any]) -> list[dict[str, Any]]:
