@@ -292,7 +292,8 @@ def test_a_ply_that_is_pulled_out_stretches_its_stitch():
     gap = np.ptp([s.positions(result.states[-1].x)[:, 2].mean() for s in (above, pulled)])
     expected = 4.0 * (np.hypot(2.0, gap) - T0) * 2.0 / np.hypot(2.0, gap)
     assert result.status == "completed"
-    assert result.force == pytest.approx(expected, rel=5e-3)  # at the stitch the plies bend a little
+    # at the stitch the plies bend a little
+    assert result.force == pytest.approx(expected, rel=5e-3)
 
 
 # Scenes
