@@ -223,7 +223,7 @@ def test_means_at_points_say_how_many_they_are_of(dome, tmp_path):
     assert "area blue: no point of both" in notes
 
 
-def test_a_misplaced_reference_is_warned_of(result, tmp_path):
+def test_a_misplaced_reference_is_warned_of(result, tmp_path, capsys):
     X, _, _ = flat_mesh(21)
     x = formed(X)
     path = write_points(tmp_path / "p.csv", "x,y,z,gamma", [*x.T, gamma_of(X)])
@@ -233,6 +233,11 @@ def test_a_misplaced_reference_is_warned_of(result, tmp_path):
     )
     found = compare(result, path, within=8.0)
     assert found.notes[0].startswith("warning: ")
+    words = [str(result), str(path), "--within", "8", "--out", str(tmp_path / "out")]
+    assert main(["compare", *words]) == 0
+    said = capsys.readouterr().out
+    assert said.index("warning: ") < said.index("mean of |γ|")
+    assert said.count("warning") == 1
     assert "of the reference is off the result and left out: try --align shift" in found.notes[0]
     assert not any("warning" in note for note in compare(result, path, align="shift").notes)
 

@@ -368,6 +368,24 @@ def test_folder_of_a_stack(formed, tmp_path):
     assert again.parameters["plies"] == formed.model.parameters["plies"]
 
 
+def test_any_ply_is_compared(formed, tmp_path):
+    """With itself as the stack has it and as its own file has it, and with a sheet of the other."""
+    formed.save(tmp_path / "out", pictures=False)
+    second = formed.summary()["plies"][1]["shear_angle_deg"]["mean"]
+    for reference, ply in ((tmp_path / "out", "reference: ply 2 of 2 at 45°, "), ("ply_2.vtu", "")):
+        found = qf.compare(formed, tmp_path / "out" / reference, ply=2)
+        assert found["mean of |γ|"].result == pytest.approx(second, rel=0.02)
+        assert np.nanmax(np.abs(found.difference)) < 1e-6
+        assert any(note.startswith("result: ply 2 of 2 at 45°, ") for note in found.notes)
+        assert any(note.startswith(ply) for note in found.notes)
+    first = qf.compare(formed, tmp_path / "out")
+    assert any(note.startswith("result: ply 1 of 2 at 0°, ") for note in first.notes)
+    with pytest.raises(qf.InputError, match="no ply 3 of 2"):
+        qf.compare(formed, formed, ply=3)
+    with pytest.raises(qf.InputError, match="no ply 2: it is not a stack"):
+        qf.compare(tmp_path / "out" / "ply_1.vtu", formed, ply=2)
+
+
 def test_slip_and_thickness_between_plies_are_fields(formed):
     """On a dome that is pressed: two plies thick where they touch, one where they are parted."""
     stack = formed.stack_at().point_fields

@@ -358,6 +358,8 @@ def form(
     solver: Solver = Solver(),
 ) -> int:
     """Forming test with a punch, a die and a blank holder."""
+    if solver.dry_run:
+        terminal.say(f"building the model of {scene} ...")
     model = options.model(
         scene,
         increment=solver.increment,
@@ -481,6 +483,7 @@ class Reference:
         "measured", "stated", "exact", "peer", "prototype", "inferred", "assumed", "own"
     ] = "peer"
     """Standing of the reference."""
+    ply: Annotated[Count | None, about("Of stacks, from the punch down (1).")] = None
 
 
 @app.command
@@ -549,7 +552,9 @@ def compare(
     comparison = qf.compare(result, reference, **given)
     terminal.say(f"writing to {folder}")
     comparison.save(folder, force=output.force)
-    terminal.say(comparison.table(), *(f"  {note}" for note in comparison.notes))
+    warned = [note for note in comparison.notes if note.startswith("warning")]
+    notes = [f"  {note}" for note in comparison.notes if note not in warned]
+    terminal.say(*warned, comparison.table(), *notes)
     terminal.say(terminal.files(folder, FILES))
     return 0 if comparison.held else 1
 
@@ -844,8 +849,8 @@ def _solve(model: qf.Model, solver: Solver, run: Mapping[str, Any] = MappingProx
         return _run(model, journal, solver.sensitivity, uncertain)
     from . import forecast
 
-    found = forecast.asked(model, options)
-    lines = [terminal.describe(model), f"  expected time: {forecast.words(found)}"]
+    terminal.say(terminal.describe(model), "timing a Newton step on each mesh ...")
+    lines = [f"  expected time: {forecast.words(forecast.asked(model, options))}"]
     lines += [f"  warning: {words}" for words in forecast.limits(model, options)]
     if options["accuracy"]:
         lines.append("  and longer where --accuracy asks for a finer mesh than that")

@@ -259,6 +259,8 @@ def words_of(run: Record) -> tuple[str, str, str]:
     """Names of the travel and of its force, and the unit of the force."""
     if run.force_unit == "mJ":
         return "load factor", "work of the load by its factor", "mJ"
+    if np.array_equal(run.history.get("pressure_force_N", ()), run.forces):
+        return "travel", "force of the pressure", "N"
     if run.has_tools:
         return "punch travel", "punch force", "N"
     return "displacement", "force", "N"
