@@ -242,6 +242,25 @@ def test_a_misplaced_reference_is_warned_of(result, tmp_path, capsys):
     assert not any("warning" in note for note in compare(result, path, align="shift").notes)
 
 
+def test_each_side_of_a_slit_is_compared_with_its_own(tmp_path):
+    """The shear angle jumps at the slit x = 0; once on the same mesh, once on another one."""
+
+    def slit(n):
+        whole = mesh_of(n)
+        triangles = whole.cells[0].data
+        right = flat_mesh(n)[0][triangles].mean(1)[:, 0] > 0
+        parted = np.where(right[:, None], triangles + n * n, triangles)
+        used, triangles = np.unique(parted, return_inverse=True)
+        fields = {name: v[used % (n * n)] for name, v in whole.point_data.items()}
+        fields["shear_angle"] += 30.0 * (used >= n * n)
+        points = whole.points[used % (n * n)]
+        return meshio.Mesh(points, [("triangle", triangles.reshape(-1, 3))], fields)
+
+    for n in (21, 27):
+        write_result(tmp_path / f"{n}", slit(n))
+        assert np.abs(compare(tmp_path / "21", tmp_path / f"{n}").difference).max() < 0.1
+
+
 def test_blanks_that_differ_are_warned_of(result, tmp_path):
     mesh = mesh_of(31)
     small = meshio.Mesh(0.8 * mesh.points, mesh.cells, mesh.point_data)

@@ -9,6 +9,7 @@ from scipy.integrate import solve_ivp
 
 import quasiform as qf
 from quasiform import theory
+from quasiform.console.cli import main
 from quasiform.draw import view
 from quasiform.energy.bending import Bending
 from quasiform.energy.contact import Contact
@@ -27,6 +28,7 @@ from quasiform.tools.shapes import Plane, flipped
 from quasiform.unknowns import Unknowns
 
 FABRIC = qf.Fabric()
+SLIT = [[60.0, 0.0], [155.0, 0.0]]
 T0 = FABRIC.thickness
 
 
@@ -431,6 +433,25 @@ def test_a_stopped_run_of_a_stack_is_continued_as_it_was(formed, tmp_path):
     assert stopped.status == "stopped"
     end = qf.solve(stacked(plies, 25.0, 5.0), resume=True, **given)
     assert_array_equal(end.states[-1].x, formed.states[-1].x)
+
+
+def test_a_stack_with_slits_is_stopped_continued_and_shown(tmp_path, capsys):
+    words = "form hemisphere --size 30 --travel 4 --no-estimate --seeds 1".split()
+    words += ["--set", "plies=[{}, {orientation = 90.0}]"]
+    words += ["--set", "blank.slits=[{points = [[60.0, 0.0], [155.0, 0.0]]}]"]
+    assert main([*words, "--out", str(tmp_path / "whole")]) == 0
+    out = capsys.readouterr().out
+    assert "slits: 1 in ply 1, 95 mm long; 1 in ply 2, 95 mm long" in out
+    assert "2 ply_*.vtu, 1 shear_angle_ply_*.png" in out
+    model = stacked([0, 90], 30.0, 4.0, overrides={"blank.slits": [{"points": SLIT}]})
+    assert f"{2 * len(model.sheet.blank.triangles)} triangles" in out
+    given = {"estimate": False, "out": tmp_path / "parts"}
+    assert qf.solve(model, callback=lambda p: p.travel > 2.0, **given).status == "stopped"
+    end = qf.solve(model, resume=True, **given)
+    found = qf.compare(tmp_path / "whole", end, ply=2)
+    assert np.abs(found.difference).max() < 1e-4
+    page = view.save(end.record.of_ply(0), tmp_path / "page.html").read_text(encoding="utf-8")
+    assert "slip between plies 1 and 2" in page
 
 
 def test_no_sensitivities_of_a_stack(formed):

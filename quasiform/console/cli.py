@@ -865,7 +865,7 @@ def _run(
     uncertain: Mapping[str, float] = MappingProxyType({}),
 ) -> int:
     """Solve a model and leave its files in the journal's folder."""
-    from ..result.files import FILES, INCREMENTS, RESUME
+    from ..result.files import FILES, INCREMENTS, OF_PLIES, RESUME
     from ..solve.asked import solved
     from . import sensitivity
     from .progress import LiveProgress
@@ -885,8 +885,9 @@ def _run(
         return 3
     if (folder / RESUME).exists():
         terminal.say(f"continue with: quasiform resume {folder}")
-    meshes = f", {len(list(folder.glob(INCREMENTS)))} {INCREMENTS}"
-    terminal.say(terminal.files(folder, FILES) + meshes * bool(model.outputs["increments"]))
+    counted = {name: len(list(folder.glob(name))) for name in (INCREMENTS, *OF_PLIES)}
+    more = (f", {count} {name}" for name, count in counted.items() if count)
+    terminal.say(terminal.files(folder, FILES) + "".join(more))
     return 0 if result.status == "completed" else 3
 
 
