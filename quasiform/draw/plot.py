@@ -162,7 +162,8 @@ def doubt_figure(run: Record) -> Figure:
     found = {"what to do": advice[::-1], "limits of the whole result": limits}
     lines = []
     for heading, entries in found.items():
-        lines += [f"{heading}:", *(textwrap.fill(f"– {e}", 58) for e in entries or ["none"]), ""]
+        look = {"width": 58, "initial_indent": "– ", "subsequent_indent": "   "}
+        lines += [f"{heading}:", *(textwrap.fill(e, **look) for e in entries or ["none"]), ""]
     words = "\n".join(lines)
     look = {"va": "top", "fontsize": 7, "linespacing": 1.5, "in_layout": False}
     key.text(0.0, 0.62, words, parse_math=False, **look)
