@@ -16,7 +16,7 @@ from quasiform.comparison.mapping import mapped
 from quasiform.comparison.place import rim, unfolded
 from quasiform.comparison.read import Reading, read_side
 from quasiform.console.cli import main
-from quasiform.net.blank import rotation
+from quasiform.net.blank import cut, rotation
 from quasiform.result.sheet import FormedSheet
 from quasiform.tables import read_table
 
@@ -240,6 +240,18 @@ def test_a_misplaced_reference_is_warned_of(result, tmp_path, capsys):
     assert said.count("warning") == 1
     assert "of the reference is off the result and left out: try --align shift" in found.notes[0]
     assert not any("warning" in note for note in compare(result, path, align="shift").notes)
+
+
+def test_the_whole_of_a_disc_is_compared_with_a_coarser_one(tmp_path):
+    """Whose nodes are denser at its rim than within."""
+    for size in (15.0, 30.0):
+        disc = cut(shapely.Point(0.0, 0.0).buffer(150.0), size, 30.0)
+        flat = np.pad(disc.nodes, ((0, 0), (0, 1)))
+        fields = {"shear_angle": gamma_of(disc.nodes), "displacement": 0.0 * flat}
+        mesh = meshio.Mesh(flat, [("triangle", disc.triangles)], fields)
+        write_result(tmp_path / f"{size:g}", mesh)
+    found = compare(tmp_path / "15", tmp_path / "30")
+    assert np.isfinite(found.difference).all()
 
 
 def test_each_side_of_a_slit_is_compared_with_its_own(tmp_path):

@@ -54,20 +54,26 @@ def mapped(
 
     nan at points farther than `within` (mm; the spacing of the source's points if not given).
     """
+    import shapely
     from scipy.spatial import cKDTree
 
     apart, gamma = spacing(source), source.point_fields[ANGLE]
     reach = apart if within is None else within
     if by == "flat":
         known = np.isfinite(gamma)
-        distance, _ = cKDTree(source.flat[known]).query(target.flat)
+        whole = source.triangles[known[source.triangles].all(1)]
+        if len(whole):
+            tree, places = shapely.STRtree(shapely.polygons(source.flat[whole])), target.flat
+            near = tree.query_nearest(shapely.points(places), return_distance=True, all_matches=False)
+            distance = near[1]
+        else:
+            distance, _ = cKDTree(source.flat[known]).query(target.flat)
+            reach = max(reach, apart)
         found = interpolated(source.flat[known], gamma[known], target.flat)
         if len(source.triangles) and len(target.triangles) and target.weights.all():
             flat = (Blank(s.flat, s.triangles, *np.eye(2)) for s in (source, target))
             near, values = beside_slits(next(flat), gamma, next(flat))
             found[near] = values
-        # inside a mesh, a point is no farther from a node than the nodes are from each other
-        reach = max(reach, apart)
     elif not len(source.triangles):
         raise InputError("closest points need triangles")
     else:
