@@ -243,14 +243,15 @@ def test_a_misplaced_reference_is_warned_of(result, tmp_path, capsys):
 
 
 def test_the_whole_of_a_disc_is_compared_with_a_coarser_one(tmp_path):
-    """Whose nodes are denser at its rim than within."""
-    for size in (15.0, 30.0):
-        disc = cut(shapely.Point(0.0, 0.0).buffer(150.0), size, 30.0)
+    """Whose nodes are denser at its rim, and at its hole, than elsewhere."""
+    shape = shapely.Point(0.0, 0.0).buffer(150.0) - shapely.Point(60.0, 0.0).buffer(10.0)
+    for size, turn in ((15.0, 30.0), (40.0, 75.0)):
+        disc = cut(shape, size, turn, through=((0.0, 0.0),))
         flat = np.pad(disc.nodes, ((0, 0), (0, 1)))
         fields = {"shear_angle": gamma_of(disc.nodes), "displacement": 0.0 * flat}
         mesh = meshio.Mesh(flat, [("triangle", disc.triangles)], fields)
         write_result(tmp_path / f"{size:g}", mesh)
-    found = compare(tmp_path / "15", tmp_path / "30")
+    found = compare(tmp_path / "15", tmp_path / "40")
     assert np.isfinite(found.difference).all()
 
 

@@ -63,9 +63,9 @@ def mapped(
         known = np.isfinite(gamma)
         whole = source.triangles[known[source.triangles].all(1)]
         if len(whole):
-            tree, places = shapely.STRtree(shapely.polygons(source.flat[whole])), target.flat
-            near = tree.query_nearest(shapely.points(places), return_distance=True, all_matches=False)
-            distance = near[1]
+            tree = shapely.STRtree(shapely.polygons(source.flat[whole]))
+            only = {"all_matches": False, "return_distance": True}
+            _, distance = tree.query_nearest(shapely.points(target.flat), **only)
         else:
             distance, _ = cKDTree(source.flat[known]).query(target.flat)
             reach = max(reach, apart)
