@@ -128,7 +128,7 @@ def sheet_figure(run: Record) -> Figure:
             look = {"color": LOCKED, "linewidth": 1.1}
             rings.append(Line2D([], [], label=f"locking, {run.locking:.0f}°", **look))
         if rings:
-            title = "tools, and mean |γ| in the ringed areas"
+            title = "tools" + ", and mean |γ| in the ringed areas" * bool(run.summary.get("areas"))
             key.legend(handles=rings, loc="upper center", ncols=3, title=title, **RING_LEGEND)
         place = {"cax": key.inset_axes([0.02, 0.28, 0.96, 0.12]), "orientation": "horizontal"}
     _draw_force_panel(panels["force"], run)
