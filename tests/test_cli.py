@@ -272,6 +272,7 @@ def test_a_dry_run_tells_the_model_and_writes_nothing(capsys, here, argv, words)
     assert main([*argv, "--dry-run", "--out", "out"]) == 0
     out, err = capsys.readouterr()
     assert [word for word in words if word not in out] == []
+    assert out.startswith("building the model of " if argv[0] == "form" else "oat-")
     assert "writing" not in out
     assert err == ""
     assert list(here.iterdir()) == []

@@ -16,7 +16,7 @@ from quasiform.comparison.mapping import mapped
 from quasiform.comparison.place import rim, unfolded
 from quasiform.comparison.read import Reading, read_side
 from quasiform.console.cli import main
-from quasiform.net.blank import rotation
+from quasiform.net.blank import cut, rotation
 from quasiform.result.sheet import FormedSheet
 from quasiform.tables import read_table
 
@@ -223,7 +223,7 @@ def test_means_at_points_say_how_many_they_are_of(dome, tmp_path):
     assert "area blue: no point of both" in notes
 
 
-def test_a_misplaced_reference_is_warned_of(result, tmp_path):
+def test_a_misplaced_reference_is_warned_of(result, tmp_path, capsys):
     X, _, _ = flat_mesh(21)
     x = formed(X)
     path = write_points(tmp_path / "p.csv", "x,y,z,gamma", [*x.T, gamma_of(X)])
@@ -233,8 +233,45 @@ def test_a_misplaced_reference_is_warned_of(result, tmp_path):
     )
     found = compare(result, path, within=8.0)
     assert found.notes[0].startswith("warning: ")
+    words = [str(result), str(path), "--within", "8", "--out", str(tmp_path / "out")]
+    assert main(["compare", *words]) == 0
+    said = capsys.readouterr().out
+    assert said.index("warning: ") < said.index("mean of |γ|")
+    assert said.count("warning") == 1
     assert "of the reference is off the result and left out: try --align shift" in found.notes[0]
     assert not any("warning" in note for note in compare(result, path, align="shift").notes)
+
+
+def test_the_whole_of_a_disc_is_compared_with_a_coarser_one(tmp_path):
+    """Whose nodes are denser at its rim, and at its hole, than elsewhere."""
+    shape = shapely.Point(0.0, 0.0).buffer(150.0) - shapely.Point(60.0, 0.0).buffer(10.0)
+    for size, turn in ((15.0, 30.0), (40.0, 75.0)):
+        disc = cut(shape, size, turn, through=((0.0, 0.0),))
+        flat = np.pad(disc.nodes, ((0, 0), (0, 1)))
+        fields = {"shear_angle": gamma_of(disc.nodes), "displacement": 0.0 * flat}
+        mesh = meshio.Mesh(flat, [("triangle", disc.triangles)], fields)
+        write_result(tmp_path / f"{size:g}", mesh)
+    found = compare(tmp_path / "15", tmp_path / "40")
+    assert np.isfinite(found.difference).all()
+
+
+def test_each_side_of_a_slit_is_compared_with_its_own(tmp_path):
+    """The shear angle jumps at the slit x = 0; once on the same mesh, once on another one."""
+
+    def slit(n):
+        whole = mesh_of(n)
+        triangles = whole.cells[0].data
+        right = flat_mesh(n)[0][triangles].mean(1)[:, 0] > 0
+        parted = np.where(right[:, None], triangles + n * n, triangles)
+        used, triangles = np.unique(parted, return_inverse=True)
+        fields = {name: v[used % (n * n)] for name, v in whole.point_data.items()}
+        fields["shear_angle"] += 30.0 * (used >= n * n)
+        points = whole.points[used % (n * n)]
+        return meshio.Mesh(points, [("triangle", triangles.reshape(-1, 3))], fields)
+
+    for n in (21, 27):
+        write_result(tmp_path / f"{n}", slit(n))
+        assert np.abs(compare(tmp_path / "21", tmp_path / f"{n}").difference).max() < 0.1
 
 
 def test_blanks_that_differ_are_warned_of(result, tmp_path):

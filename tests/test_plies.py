@@ -9,6 +9,7 @@ from scipy.integrate import solve_ivp
 
 import quasiform as qf
 from quasiform import theory
+from quasiform.console.cli import main
 from quasiform.draw import view
 from quasiform.energy.bending import Bending
 from quasiform.energy.contact import Contact
@@ -28,6 +29,7 @@ from quasiform.tools.shapes import Plane, flipped
 from quasiform.unknowns import Unknowns
 
 FABRIC = qf.Fabric()
+SLIT = [[60.0, 0.0], [155.0, 0.0]]
 T0 = FABRIC.thickness
 
 
@@ -469,6 +471,24 @@ def test_folder_of_a_stack(formed, tmp_path):
     assert again.parameters["plies"] == formed.model.parameters["plies"]
 
 
+def test_any_ply_is_compared(formed, tmp_path):
+    """With itself as the stack has it and as its own file has it, and with a sheet of the other."""
+    formed.save(tmp_path / "out", pictures=False)
+    second = formed.summary()["plies"][1]["shear_angle_deg"]["mean"]
+    for reference, ply in ((tmp_path / "out", "reference: ply 2 of 2 at 45°, "), ("ply_2.vtu", "")):
+        found = qf.compare(formed, tmp_path / "out" / reference, ply=2)
+        assert found["mean of |γ|"].result == pytest.approx(second, rel=0.02)
+        assert np.nanmax(np.abs(found.difference)) < 1e-6
+        assert any(note.startswith("result: ply 2 of 2 at 45°, ") for note in found.notes)
+        assert any(note.startswith(ply) for note in found.notes)
+    first = qf.compare(formed, tmp_path / "out")
+    assert any(note.startswith("result: ply 1 of 2 at 0°, ") for note in first.notes)
+    with pytest.raises(qf.InputError, match="no ply 3 of 2"):
+        qf.compare(formed, formed, ply=3)
+    with pytest.raises(qf.InputError, match="no ply 2: it is not a stack"):
+        qf.compare(tmp_path / "out" / "ply_1.vtu", formed, ply=2)
+
+
 def test_slip_and_thickness_between_plies_are_fields(formed):
     """On a dome that is pressed: two plies thick where they touch, one where they are parted."""
     stack = formed.stack_at().point_fields
@@ -514,6 +534,25 @@ def test_a_stopped_run_of_a_stack_is_continued_as_it_was(formed, tmp_path):
     assert stopped.status == "stopped"
     end = qf.solve(stacked(plies, 25.0, 5.0), resume=True, **given)
     assert_array_equal(end.states[-1].x, formed.states[-1].x)
+
+
+def test_a_stack_with_slits_is_stopped_continued_and_shown(tmp_path, capsys):
+    words = "form hemisphere --size 30 --travel 4 --no-estimate --seeds 1".split()
+    words += ["--set", "plies=[{}, {orientation = 90.0}]"]
+    words += ["--set", "blank.slits=[{points = [[60.0, 0.0], [155.0, 0.0]]}]"]
+    assert main([*words, "--out", str(tmp_path / "whole")]) == 0
+    out = capsys.readouterr().out
+    assert "slits: 1 in ply 1, 95 mm long; 1 in ply 2, 95 mm long" in out
+    assert "2 ply_*.vtu, 1 shear_angle_ply_*.png" in out
+    model = stacked([0, 90], 30.0, 4.0, overrides={"blank.slits": [{"points": SLIT}]})
+    assert f"{2 * len(model.sheet.blank.triangles)} triangles" in out
+    given = {"estimate": False, "out": tmp_path / "parts"}
+    assert qf.solve(model, callback=lambda p: p.travel > 2.0, **given).status == "stopped"
+    end = qf.solve(model, resume=True, **given)
+    found = qf.compare(tmp_path / "whole", end, ply=2)
+    assert np.abs(found.difference).max() < 1e-4
+    page = view.save(end.record.of_ply(0), tmp_path / "page.html").read_text(encoding="utf-8")
+    assert "slip between plies 1 and 2" in page
 
 
 def test_no_sensitivities_of_a_stack(formed):

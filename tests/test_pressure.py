@@ -8,6 +8,7 @@ import shapely
 from numpy.testing import assert_array_equal
 
 import quasiform as qf
+from quasiform.draw.plot import words_of
 from quasiform.energy.contact import Contact
 from quasiform.energy.plies import folds_on_itself
 from quasiform.handover.deck import abaqus_deck
@@ -80,6 +81,9 @@ def test_a_male_tool_bears_the_pressure_on_the_projected_area(male):
     area = shapely.Polygon(male.positions()[male.blank.outline[0], :2]).area
     assert on_fixed_tools(male) == pytest.approx(0.02 * area, rel=0.01)
     assert male.history["pressure_force_N"][-1] == pytest.approx(0.02 * area, rel=1e-3)
+    assert_array_equal(male.history["force_N"], male.history["pressure_force_N"])
+    assert male.summary()["force_N"] == male.force == male.history["force_N"][-1]
+    assert words_of(male.record) == ("travel", "force of the pressure", "N")
     assert male.history["pressure_MPa"] == pytest.approx(0.02 * male.history["travel_mm"] / 10.0)
     assert area < 0.97 * np.pi * 40.0**2  # the sheet lies on the hemisphere
 

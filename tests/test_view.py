@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib.image import imread
 
 import quasiform as qf
 from quasiform.checks import number
@@ -189,6 +190,10 @@ def test_browser_shows_every_field_at_every_width(formed, tmp_path, width):
     file = view.save(formed.record, tmp_path / "view.html")
     with opened(file, tmp_path / "profile", width, 900) as page:
         page.wait("document.body.dataset.ready")
+        left, top, _, high = (round(x) for x in page.box("#sheet"))
+        page.picture(tmp_path / "seen.png")
+        seen = imread(tmp_path / "seen.png")[top : top + high, left : left + 6, :3]
+        assert seen.min() > 0.8  # no title of an axis is cut
         for name in FOUND:
             page.value(f"field.value = '{name}'; travel.value = 1; show()")
             assert page.value("sheet._fullData[0].intensity.every(v => v !== null)")

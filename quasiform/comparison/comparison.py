@@ -167,6 +167,7 @@ def compare(
     within: float | None = None,
     align: str = "none",
     mirror: Sequence[str] = (),
+    ply: int | None = None,
     areas: Mapping[str, tuple[tuple[float, float], float]] | None = None,
     band_angle: float | None = None,
     band_outline: float | None = None,
@@ -193,6 +194,8 @@ def compare(
         Whether the reference is shifted, or shifted and turned about z, to fit first.
     mirror : sequence of "x" and "y"
         Planes at which the reference, a half or a quarter, is unfolded.
+    ply : int, optional
+        Of a stack, from the punch down; the same one of a reference that is a run of a stack.
     areas : mapping of name to (centre, radius), optional
         Discs of the flat blank over which |γ| is averaged; the result's own if not given.
     band_angle : float, optional
@@ -227,8 +230,11 @@ def compare(
     if "reference_travel" in reading:
         reading["travel"] = reading.pop("reference_travel")
     check_keys(reading, Reading.__dataclass_fields__, "compare")
-    how = Reading(**reading)
-    mine, other = read_side(result, Reading(signed=how.signed)), read_side(reference, how)
+    how = Reading(**reading, ply=ply)
+    mine = read_side(result, Reading(signed=how.signed, ply=ply))
+    if (ply or 1) > 1 and not mine.ply:
+        raise InputError(f"{mine.name}: no ply {ply}: it is not a stack")
+    other = read_side(reference, how)
     ends = [side.end for side in (mine, other) if side.end is not None]
     goal = min(ends, default=None) if travel is None else travel
     sheet, theirs, notes = _in_place((mine, other), goal, mirror, align, how.signed)
@@ -273,7 +279,8 @@ def _in_place(
     elif unknown := [side.name for side in sides if side.end is None]:
         notes.append(f"{unknown[0]} names no travel: taken to be at {goal:.6g} mm")
     (sheet, words), (theirs, their_words) = mine.at(goal), other.at(goal)
-    notes += [f"result: {words}", f"reference: {their_words}", *other.notes]
+    notes.append(f"result: {mine.ply}{words}")
+    notes += [f"reference: {other.ply}{their_words}", *other.notes]
     if mirror:
         theirs = unfolded(theirs, tuple(mirror), signed)
         notes.append(f"reference unfolded at {' and '.join(f'{p} = 0' for p in mirror)}")

@@ -1,9 +1,9 @@
 """Map a field from one sheet to the points of another.
 
 Where both sheets know their flat coordinates, a point is found by its material place, X: linear
-interpolation on the Delaunay triangulation of the flat points. Else by the closest point of the
-formed surface (libigl), linear on its triangle. A point farther from the other sheet than `within`
-is not compared.
+interpolation on the Delaunay triangulation of the flat points, near a slit on the triangles of its
+side. Else by the closest point of the formed surface (libigl), linear on its triangle. A point
+farther from the other sheet than `within` is not compared.
 """
 
 from __future__ import annotations
@@ -11,7 +11,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..checks import InputError, optional
-from ..net.transfer import interpolated
+from ..net.blank import Blank
+from ..net.transfer import beside_slits, interpolated
 from ..result.sheet import FormedSheet
 from ..tools.mending import normals_of
 
@@ -53,16 +54,26 @@ def mapped(
 
     nan at points farther than `within` (mm; the spacing of the source's points if not given).
     """
+    import shapely
     from scipy.spatial import cKDTree
 
     apart, gamma = spacing(source), source.point_fields[ANGLE]
     reach = apart if within is None else within
     if by == "flat":
         known = np.isfinite(gamma)
-        distance, _ = cKDTree(source.flat[known]).query(target.flat)
+        whole = source.triangles[known[source.triangles].all(1)]
+        if len(whole):
+            tree = shapely.STRtree(shapely.polygons(source.flat[whole]))
+            only = {"all_matches": False, "return_distance": True}
+            _, distance = tree.query_nearest(shapely.points(target.flat), **only)
+        else:
+            distance, _ = cKDTree(source.flat[known]).query(target.flat)
+            reach = max(reach, apart)
         found = interpolated(source.flat[known], gamma[known], target.flat)
-        # inside a mesh, a point is no farther from a node than the nodes are from each other
-        reach = max(reach, apart)
+        if len(source.triangles) and len(target.triangles) and target.weights.all():
+            flat = (Blank(s.flat, s.triangles, *np.eye(2)) for s in (source, target))
+            near, values = beside_slits(next(flat), gamma, next(flat))
+            found[near] = values
     elif not len(source.triangles):
         raise InputError("closest points need triangles")
     else:

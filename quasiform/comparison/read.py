@@ -60,6 +60,7 @@ class Reading:
     travel: float | None = None  # of its last state, mm; times of a series are in proportion
     history: str | Path | None = None  # CSV of travel, force, energies, in place of the folder's
     force_factor: float = 1.0  # of forces and energies: 4 where they are those of a quarter
+    ply: int | None = None  # of a run of a stack, from the punch down
 
     def __post_init__(self) -> None:
         for name, known in (("angle", ("shear", "between")), ("coordinates", ("formed", "flat"))):
@@ -96,6 +97,7 @@ class Side:
     notes: tuple[str, ...] = ()  # how it was read
     scene: str = ""  # of a run; empty where it is not known
     locking: float | None = None  # shear angle at which its fabric locks, degrees
+    ply: str = ""  # which one of a stack it is, before the words of `at`
 
     @property
     def end(self) -> float | None:
@@ -184,6 +186,8 @@ def _history(columns: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
 
 
 def _of_record(record: Record, reading: Reading) -> Side:
+    if reading.ply and record.summary.get("plies"):
+        record = record.of_ply(reading.ply)
     where = record.folder or "the result"
     return replace(
         _of_sheets(record.name, record.sheets, reading, where),
@@ -191,6 +195,7 @@ def _of_record(record: Record, reading: Reading) -> Side:
         areas=record.areas,
         scene=record.resolved,
         locking=record.locking,
+        ply=record.ply_name and f"{record.ply_name}, ",
     )
 
 

@@ -358,6 +358,8 @@ def form(
     solver: Solver = Solver(),
 ) -> int:
     """Forming test with a punch, a die and a blank holder."""
+    if solver.dry_run:
+        terminal.say(f"building the model of {scene} ...")
     model = options.model(
         scene,
         increment=solver.increment,
@@ -481,6 +483,7 @@ class Reference:
         "measured", "stated", "exact", "peer", "prototype", "inferred", "assumed", "own"
     ] = "peer"
     """Standing of the reference."""
+    ply: Annotated[Count | None, about("Of stacks, from the punch down (1).")] = None
 
 
 @app.command
@@ -549,7 +552,9 @@ def compare(
     comparison = qf.compare(result, reference, **given)
     terminal.say(f"writing to {folder}")
     comparison.save(folder, force=output.force)
-    terminal.say(comparison.table(), *(f"  {note}" for note in comparison.notes))
+    warned = [note for note in comparison.notes if note.startswith("warning")]
+    notes = [f"  {note}" for note in comparison.notes if note not in warned]
+    terminal.say(*warned, comparison.table(), *notes)
     terminal.say(terminal.files(folder, FILES))
     return 0 if comparison.held else 1
 
@@ -844,8 +849,8 @@ def _solve(model: qf.Model, solver: Solver, run: Mapping[str, Any] = MappingProx
         return _run(model, journal, solver.sensitivity, uncertain)
     from . import forecast
 
-    found = forecast.asked(model, options)
-    lines = [terminal.describe(model), f"  expected time: {forecast.words(found)}"]
+    terminal.say(terminal.describe(model), "timing a Newton step on each mesh ...")
+    lines = [f"  expected time: {forecast.words(forecast.asked(model, options))}"]
     lines += [f"  warning: {words}" for words in forecast.limits(model, options)]
     if options["accuracy"]:
         lines.append("  and longer where --accuracy asks for a finer mesh than that")
@@ -860,7 +865,7 @@ def _run(
     uncertain: Mapping[str, float] = MappingProxyType({}),
 ) -> int:
     """Solve a model and leave its files in the journal's folder."""
-    from ..result.files import FILES, INCREMENTS, RESUME
+    from ..result.files import FILES, INCREMENTS, OF_PLIES, RESUME
     from ..solve.asked import solved
     from . import sensitivity
     from .progress import LiveProgress
@@ -880,8 +885,9 @@ def _run(
         return 3
     if (folder / RESUME).exists():
         terminal.say(f"continue with: quasiform resume {folder}")
-    meshes = f", {len(list(folder.glob(INCREMENTS)))} {INCREMENTS}"
-    terminal.say(terminal.files(folder, FILES) + meshes * bool(model.outputs["increments"]))
+    counted = {name: len(list(folder.glob(name))) for name in (INCREMENTS, *OF_PLIES)}
+    more = (f", {count} {name}" for name, count in counted.items() if count)
+    terminal.say(terminal.files(folder, FILES) + "".join(more))
     return 0 if result.status == "completed" else 3
 
 

@@ -82,7 +82,8 @@ def words(found: tuple[Mesh, ...] | None) -> str:
     if found is None:
         return "not known: the model has no tangent at its start"
     seconds = sum(mesh.solves * mesh.seconds for mesh in found)
-    sizes = " and ".join(f"{mesh.size:.3g}" for mesh in found)
+    *first, last = (f"{mesh.size:.3g}" for mesh in found)
+    sizes = f"{', '.join(first)} and {last}" if first else last
     return (
         f"about {duration(seconds)} on this machine as busy as it is now, up to "
         f"{duration(MOST * seconds)} where the sheet buckles; meshes: {sizes} mm"

@@ -84,10 +84,13 @@ def study(columns: Mapping[str, Sequence[Any]]) -> str:
 
 def describe(model: Model) -> str:
     """The model: its size, what is in it and what was left out, and why."""
-    blank = model.sheet.blank
+    nodes, triangles = (
+        sum(len(getattr(sheet.blank, name)) for sheet in model.sheets)
+        for name in ("nodes", "triangles")
+    )
     return "\n".join(
         [
-            f"{model.name}: {len(blank.nodes)} nodes, {len(blank.triangles)} triangles, "
+            f"{model.name}: {nodes} nodes, {triangles} triangles, "
             f"{(~model.fixed).sum()} dofs, travel {model.travel:g}"
             + " mm"
             * (model.force_name == "force_N"),

@@ -247,7 +247,7 @@ def _outlines(runs: Runs, labels: Labels, end: float, notes: list[str]) -> Figur
     flats: list[shapely.MultiLineString] = []
     for k, (label, run) in enumerate(zip(labels, runs, strict=True)):
         sheet = run.sheet
-        flat = shapely.multilinestrings([sheet.flat[loop] for loop in sheet.loops])
+        flat = shapely.MultiLineString([sheet.flat[loop] for loop in sheet.loops])
         if not any(shapely.hausdorff_distance(flat, other) < 1e-3 for other in flats):
             plot.draw_flat_outline(axes, sheet, linewidth=0.6)
             flats.append(flat)

@@ -128,7 +128,7 @@ def sheet_figure(run: Record) -> Figure:
             look = {"color": LOCKED, "linewidth": 1.1}
             rings.append(Line2D([], [], label=f"locking, {run.locking:.0f}°", **look))
         if rings:
-            title = "tools, and mean |γ| in the ringed areas"
+            title = "tools" + ", and mean |γ| in the ringed areas" * bool(run.summary.get("areas"))
             key.legend(handles=rings, loc="upper center", ncols=3, title=title, **RING_LEGEND)
         place = {"cax": key.inset_axes([0.02, 0.28, 0.96, 0.12]), "orientation": "horizontal"}
     _draw_force_panel(panels["force"], run)
@@ -162,7 +162,8 @@ def doubt_figure(run: Record) -> Figure:
     found = {"what to do": advice[::-1], "limits of the whole result": limits}
     lines = []
     for heading, entries in found.items():
-        lines += [f"{heading}:", *(textwrap.fill(f"– {e}", 58) for e in entries or ["none"]), ""]
+        look = {"width": 58, "initial_indent": "– ", "subsequent_indent": "   "}
+        lines += [f"{heading}:", *(textwrap.fill(e, **look) for e in entries or ["none"]), ""]
     words = "\n".join(lines)
     look = {"va": "top", "fontsize": 7, "linespacing": 1.5, "in_layout": False}
     key.text(0.0, 0.62, words, parse_math=False, **look)
@@ -259,6 +260,8 @@ def words_of(run: Record) -> tuple[str, str, str]:
     """Names of the travel and of its force, and the unit of the force."""
     if run.force_unit == "mJ":
         return "load factor", "work of the load by its factor", "mJ"
+    if np.array_equal(run.history.get("pressure_force_N", ()), run.forces):
+        return "travel", "force of the pressure", "N"
     if run.has_tools:
         return "punch travel", "punch force", "N"
     return "displacement", "force", "N"

@@ -117,7 +117,8 @@ def _layout(run: Record, room: float, *, legend: bool) -> dict[str, Any]:
         "dragmode": "orbit",
     }
     for axis, between in zip("xyz", ends, strict=True):
-        scene[f"{axis}axis"] = AXIS | {"title": {"text": f"{axis} in mm"}, "range": between}
+        shown = {"range": between, "visible": axis != "z" or not run.in_plane}
+        scene[f"{axis}axis"] = AXIS | {"title": {"text": f"{axis} in mm"}} | shown
     return {
         "template": "none",
         "margin": dict.fromkeys("lrbt", 0),
@@ -226,7 +227,7 @@ def _content(run: Record, numbers: _Numbers) -> dict[str, Any]:
         tools.append({"name": tool.name, "moved": moved, "z": numbers.add(z)})
         tools[-1] |= {"x": x.tolist(), "y": y.tolist()}
         seen += [np.nanmin(corners, (0, 1)), np.nanmax(corners, (0, 1))]
-    room = 2 * ABOVE * plot.extent(run.sheet)
+    room = 4 * ABOVE * plot.extent(run.sheet)
     return {
         "low": (np.min(seen, axis=0) - room).tolist(),
         "high": (np.max(seen, axis=0) + room).tolist(),

@@ -33,6 +33,8 @@ from ..unknowns import FloatArray, IntArray, Sheet
 from .bending import skew
 from .term import Standing, Term
 
+PRESSURE_FORCE = "pressure_force_N"  # column of the history
+
 
 class Pressure(Term):
     """Pressure p = x[dof] on the upper face, or `up` on the lower one; o at z = `height`, mm."""

@@ -153,9 +153,9 @@ def carry(record: Record, target: Shells | None = None, within: float | None = N
         steep |= np.abs(out) > np.sin(np.radians(STEEP))
         axes.append(_unit(direction - out[:, None] * n))
     off = f"{reach:.3g} mm from the sheet{' or lie outside its edge' * several}"
-    far = f"of {len(known)} elements are farther than {off} and get no"
-    tilted = f"elements are tilted by more than {STEEP:g}° out of the sheet, their fibres are"
-    turned = "elements have their normal against the sheet's upper side: seen along it the weft"
+    far = f"are farther than {off} and get no"
+    tilted = f"are tilted by more than {STEEP:g}° out of the sheet, which makes their fibres"
+    turned = "have their normal against the sheet's upper side: seen along it the weft"
     for those, words in (
         (~known, f"{far} fibres"),
         (steep, f"{tilted} doubtful"),
@@ -164,7 +164,7 @@ def carry(record: Record, target: Shells | None = None, within: float | None = N
         if those.any():
             some = [*map(str, target.elements[those]), ""]
             some = [*some[:5], "..."] if len(some) > 6 else some[:-1]
-            notices.append(f"{those.sum()} {words}: {', '.join(some)}")
+            notices.append(f"{those.sum()} of {len(known)} elements {words}: {', '.join(some)}")
     most = f"{distance[known].max():.3g} mm"
     notices.append(f"mapped by the closest point of the formed mid-surface, at most {most} away")
     mapped = (name, target, known, *axes, found[:, 6], record.fabric, False)

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from ..energy.contact import Contact
-from ..energy.pressure import Pressure, PressureAtEdge
+from ..energy.pressure import PRESSURE_FORCE, Pressure, PressureAtEdge
 from ..energy.term import Term
 from ..energy.weight import ToolForce
 from ..model import DIAPHRAGM, Model
@@ -66,7 +66,7 @@ def pressure_on_sheet(model: Model, file: SceneFile) -> list[Term]:
     face = "lower" if up else "upper"
     model.description.append((f"pressure on the {face} face of the {sheet.name}", shown))
     model.measures["pressure_MPa"] = lambda x: float(x[dof])
-    model.measures["pressure_force_N"] = partial(along_z, model.share, term, edge)
+    model.measures[PRESSURE_FORCE] = partial(along_z, model.share, term, edge)
     return [term] if model.fixed[edge.dofs].all() else [term, edge]
 
 

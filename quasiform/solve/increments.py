@@ -181,8 +181,7 @@ class _Steps:
 def _progress(run: Run, elapsed: float) -> Progress:
     """How far a run has come."""
     equations, model = run.equations, run.model
-    residual, force = equations.residual(equations.gradient(run.x)), run.account.force / model.share
+    residual, (force, measures) = equations.residual(equations.gradient(run.x)), run.reported()
     contacts = sum(int((c.penetration(run.x) > 0).sum()) for c in model.contacts)
     so_far = equations.tangent.factorisations, elapsed
-    measures = {name: measure(run.x) for name, measure in model.measures.items()}
     return Progress(run.travel, model.travel, residual, force, contacts, *so_far, measures)

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from ..checks import InputError, check_number
+from ..energy.pressure import PRESSURE_FORCE
 from ..potential import Memory
 from ..result.run import Result, State
 from ..unknowns import FloatArray
@@ -282,9 +283,15 @@ class Run:
         force = self.equations.force(self.equations.gradient(x))
         return force, self.equations.potential.energy(x, memory)
 
+    def reported(self) -> tuple[float, dict[str, float]]:
+        """Driving force of the whole, N, that of a pressure if nothing else drives; measures."""
+        model, force = self.model, self.account.force / self.model.share
+        measures = {name: measure(self.x) for name, measure in model.measures.items()}
+        driven = not model.pressures or model.prescribed(self.travel)[1].any()
+        return force if driven else measures.get(PRESSURE_FORCE, force), measures
+
     def keep(self) -> None:
-        force, solves = self.account.force / self.model.share, self.equations.tangent.factorisations
-        measures = {name: measure(self.x) for name, measure in self.model.measures.items()}
+        (force, measures), solves = self.reported(), self.equations.tangent.factorisations
         self.states.append(State(self.travel, self.x.copy(), force, solves, measures))
 
     def result(self, reason: str, wall: float) -> Result:
