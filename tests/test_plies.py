@@ -120,7 +120,7 @@ def test_both_plies_see_the_same_gap_on_a_short_wave(crest):
     plies = [unknowns.sheet(qf.rectangle(60.0, 30.0, size), FABRIC, 3, 0.0, n) for n in ("a", "b")]
     x = np.zeros(unknowns.size)
     for ply, beside, up in zip(plies, (0.0, 0.15), (0.98 * T0, 0.0), strict=True):
-        X, Y = (ply.blank.nodes + [beside, 0.0]).T
+        X, Y = ply.blank.nodes[:, 0] + beside, ply.blank.nodes[:, 1]
         slope = -height * k * np.sin(k * X)
         n = np.column_stack([-slope, np.zeros_like(X), np.ones_like(X)])
         n /= np.linalg.norm(n, axis=1)[:, None]
