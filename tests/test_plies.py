@@ -116,6 +116,27 @@ def test_pairs_of_a_dome_have_the_smooth_gap():
         assert pairs.rise[inner].max() > 0.05  # flat triangles alone are off by that
 
 
+@pytest.mark.parametrize("crest", [1.0, -1.0])
+def test_both_plies_see_the_same_gap_on_a_short_wave(crest):
+    """Nodes a little beside the crest of a wave of four elements, on kinks of both nets."""
+    unknowns, size, k, height = Unknowns(), 5.0, 2 * np.pi / 20.0, 0.5 * crest
+    plies = [unknowns.sheet(qf.rectangle(60.0, 30.0, size), FABRIC, 3, 0.0, n) for n in ("a", "b")]
+    x = np.zeros(unknowns.size)
+    for ply, beside, up in zip(plies, (0.0, 0.15), (0.98 * T0, 0.0), strict=True):
+        X, Y = ply.blank.nodes[:, 0] + beside, ply.blank.nodes[:, 1]
+        slope = -height * k * np.sin(k * X)
+        n = np.column_stack([-slope, np.zeros_like(X), np.ones_like(X)])
+        n /= np.linalg.norm(n, axis=1)[:, None]
+        x[ply.dofs] = np.column_stack([X, Y, height * np.cos(k * X)]) + up * n
+    above, below = plies
+    for contact in (PlyContact(above, below, True), PlyContact(below, above, False)):
+        X, Y = contact.places.T
+        at_crest = (np.abs(np.cos(k * X)) > 0.99) & (np.abs(X) < 25.0) & (np.abs(Y) < 10.0)
+        p = contact.penetration(x, contact.pairs(x))[at_crest]
+        # a surface without slope at its nodes is off by 0.15 mm times 0.1
+        assert_allclose(p, 0.02 * T0, rtol=0, atol=1e-3)
+
+
 def test_a_node_without_a_ply_under_it_has_no_force():
     unknowns = Unknowns()
     wide = unknowns.sheet(qf.rectangle(80.0, 40.0, 8.0), FABRIC, 3, 0.0, "ply 1")
