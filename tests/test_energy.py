@@ -30,7 +30,13 @@ from quasiform.energy.friction import STICK, Friction
 from quasiform.energy.gripper import Grip
 from quasiform.energy.membrane import Membrane, PairedMembrane
 from quasiform.energy.pressure import Pressure, PressureAtEdge, free_edges
-from quasiform.energy.slip import SlipBending, SlippingMembrane, SlipResistance, SlipWidth
+from quasiform.energy.slip import (
+    SlipBending,
+    SlippingMembrane,
+    SlipResistance,
+    SlipWidth,
+    Together,
+)
 from quasiform.energy.softening import Softening
 from quasiform.energy.term import Term, compiled
 from quasiform.energy.weight import GRAVITY, SheetWeight, ToolForce, ToolWeight
@@ -382,6 +388,9 @@ HELD = {
     "bending alike in every direction, clamped": lambda: bending("aligned", True, ROUND),
     "slip in the plane": lambda: slipping(SlipResistance, "cut", 2),
     "slip in space": lambda: slipping(SlipResistance, "aligned", 3),
+    "layers on each other": lambda: slipping(
+        lambda *both: Together(SlippingMembrane(*both)), "cut", 3
+    ),
     "slip, mirrored": lambda: slipping(SlipResistance, "quarter", 3),
     "weight of the sheet": sheet_weight,
     "force on a tool": tool_force,

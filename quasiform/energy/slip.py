@@ -4,8 +4,9 @@ The warp layer lies at x + d/2, the weft layer at x - d/2 (two layers of element
 them, after [1]_). With f_a = (F + ∇d/2) a0 and f_b = (F - ∇d/2) b0, linear in the unknowns,
 
     E = Σ t0 A [W4(|f_a|²) + W6(f_a·f_b) + W8(|f_b|²)]                  SlippingMembrane, triangles
-      + Σ A D(|d - p|) + Σ A k_n/2 (n·d)²                                SlipResistance, nodes
+      + Σ A D(|d - p|)                                                   SlipResistance, nodes
       + Σ A G/2 |∇d|²                                                    SlipWidth, triangles
+      + Σ A k_n/2 (n·d)², n = F a0 x F b0                                 Together, triangles
 
     D(r) = K r²/2 for r ≤ τ/K,  τ r - τ²/(2K) beyond
 
@@ -32,9 +33,7 @@ from .bending import Bending
 from .membrane import Membrane, along_fibres, dot
 from .term import Quadratic, Standing, Term, frozen, same
 
-# k_n, of the compaction: it parts layers by about 0.1 mm. Its normal is lagged, so that a stiffer
-# one (the compaction itself) does not settle where slip of some mm turns.
-TOGETHER = 0.01
+TOGETHER = 0.01  # k_n, of the compaction: it parts layers by about 0.1 mm
 AT_LIMIT = 1e-6  # of τ/K: how near to it slip counts as sliding
 ENDLESS = 1e99  # MPa: the resistance of rovings that only slip elastically
 
@@ -48,8 +47,8 @@ class SlippingMembrane(Membrane):
         self._places, self._slips = self.dofs, slip.dofs[nodes].reshape(len(nodes), -1)
         self.dofs = np.ascontiguousarray(np.hstack([self._places, self._slips]))
         self.slip = slip
-        self._layer, half = self._g, 0.5 * self._g * np.array([1.0, -1.0])[:, None, None]
-        self._g = np.ascontiguousarray(np.concatenate([self._layer, half], axis=1))
+        self.layer, half = self._g, 0.5 * self._g * np.array([1.0, -1.0])[:, None, None]
+        self._g = np.ascontiguousarray(np.concatenate([self.layer, half], axis=1))
         self.g = self._g.transpose(2, 0, 1)
 
     def across(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -57,7 +56,7 @@ class SlippingMembrane(Membrane):
 
         So image correlation sees the strain across the rovings on the two faces.
         """
-        F, D = (along_fibres(self._layer, x[dofs.T]) for dofs in (self._places, self._slips))
+        F, D = (along_fibres(self.layer, x[dofs.T]) for dofs in (self._places, self._slips))
         a, b = F[1] + 0.5 * D[1], F[0] - 0.5 * D[0]
         return 0.5 * (dot(a, a) - 1.0), 0.5 * (dot(b, b) - 1.0)
 
@@ -80,7 +79,6 @@ class SlipResistance(Term):
         self.name, self.sheet, self.dofs = sheet.named("slip"), sheet, slip.dofs
         self.area, self.places = blank.node_areas, blank.nodes
         self.K, self.tau = given.stiffness, min(given.resistance, ENDLESS)
-        self.kn = TOGETHER * sheet.fabric.compaction if sheet.dim == 3 else 0.0
         nodes, n = blank.basis.element_dofs.T, len(blank.nodes)
         grad = np.stack([phi[0].grad[:, :, 0] for phi in blank.basis.basis])  # (3, 2, m)
         at = np.repeat(nodes, 3, axis=1).ravel(), np.tile(nodes, 3).ravel()
@@ -113,7 +111,7 @@ class SlipResistance(Term):
 
     def _turned(self, fibres: FloatArray, state: Slipped) -> Slipped:
         normal = state.normal
-        if self.kn:
+        if self.sheet.dim == 3:
             normal = np.cross(*fibres)
             normal = normal / np.linalg.norm(normal, axis=1)[:, None]
         return replace(state, p=np.einsum("nf,fnc->nc", state.parts, fibres), normal=normal)
@@ -149,26 +147,18 @@ class SlipResistance(Term):
         """Slip d - p in the sheet (n, dim), its length, and what of that exceeds the limit (n,)."""
         if self._last is None or self._last[1] is not state or not same(self._last[0], x):
             d = x[self.dofs] - state.p
-            if self.kn:
-                d -= np.vecdot(state.normal, d)[:, None] * state.normal
+            d -= np.vecdot(state.normal, d)[:, None] * state.normal
             r = np.sqrt(np.vecdot(d, d))
             self._last = frozen(x), state, (d, r, np.maximum(r - self.tau / self.K, 0.0))
         return self._last[2]
 
-    def _off(self, x: FloatArray, state: Slipped) -> FloatArray:
-        """(n,) slip across the sheet, mm."""
-        return np.vecdot(state.normal, x[self.dofs]) if self.kn else np.zeros(len(self.area))
-
     def energy(self, x: FloatArray, state: Slipped) -> FloatArray:
         _, r, over = self._at(x, state)
-        D = 0.5 * self.K * (r - over) ** 2 + self.tau * over
-        return self.area * (D + 0.5 * self.kn * self._off(x, state) ** 2)
+        return self.area * (0.5 * self.K * (r - over) ** 2 + self.tau * over)
 
     def gradient(self, x: FloatArray, state: Slipped) -> FloatArray:
         d, r, over = self._at(x, state)
-        force = (self.K * (r - over) / np.maximum(r, 1e-300))[:, None] * d
-        force += (self.kn * self._off(x, state))[:, None] * state.normal
-        return self.area[:, None] * force
+        return (self.area * self.K * (r - over) / np.maximum(r, 1e-300))[:, None] * d
 
     def hessian(self, x: FloatArray, state: Slipped, convex: bool) -> FloatArray:
         """At the limit, where `commit` leaves what slides, that of sliding on."""
@@ -176,7 +166,7 @@ class SlipResistance(Term):
         t = d / np.maximum(r, 1e-300)[:, None]
         ring = self.tau / np.maximum(np.maximum(r, self.tau / self.K), 1e-300)  # K up to the limit
         nn = state.normal[:, :, None] * state.normal[:, None]
-        H = ring[:, None, None] * (np.eye(d.shape[1]) - nn) + self.kn * nn
+        H = ring[:, None, None] * (np.eye(d.shape[1]) - nn)
         limit = (1.0 - AT_LIMIT) * self.tau / self.K
         H -= np.where(r > limit, ring, 0.0)[:, None, None] * t[:, :, None] * t[:, None]
         return self.area[:, None, None] * H
@@ -202,6 +192,58 @@ class SlipWidth(Quadratic):
 
     def hessian(self, x: FloatArray, state: None, convex: bool) -> FloatArray:
         return self.H.copy()
+
+
+class Together(Term):
+    """k_n/2 (n·d)²: the layers lie on each other. n = F a0 x F b0 turns with the triangle."""
+
+    def __init__(self, membrane: SlippingMembrane) -> None:
+        sheet, self.dofs = membrane.sheet, membrane.dofs
+        self.name = sheet.named("layers on each other")
+        self.g = membrane.layer.transpose(0, 2, 1)  # (2, m, 3)
+        both = self.g[0][:, :, None] * self.g[1][:, None]
+        self.turn = both - both.transpose(0, 2, 1)
+        # ∫ (n·d)² by the values s_i = n·d_i at the corners: A/12 Σ_ij (1 + δ_ij) s_i s_j
+        weights = TOGETHER * sheet.fabric.compaction * sheet.blank.areas / 12.0
+        self.weights = weights[:, None, None] * (1.0 + np.eye(3))
+
+    def _at(self, x: FloatArray) -> tuple[FloatArray, ...]:
+        """F a0, F b0 and n of m triangles, d, s and the derivatives by s at the corners."""
+        y, d = np.split(x[self.dofs].reshape(len(self.dofs), 6, 3), 2, axis=1)
+        a, b = np.einsum("pmi,mic->pmc", self.g, y)
+        n = np.cross(a, b)
+        s = np.einsum("mic,mc->mi", d, n)
+        return a, b, n, d, s, np.einsum("mij,mj->mi", self.weights, s)
+
+    def _turning(self, a: FloatArray, b: FloatArray) -> FloatArray:
+        """(m, 3, 9) derivatives of n by the corners."""
+        g, h = self.g[:, :, None, :, None]
+        return (h * crossing(a)[:, :, None] - g * crossing(b)[:, :, None]).reshape(len(a), 3, 9)
+
+    def energy(self, x: FloatArray, state: None = None) -> FloatArray:
+        *_, s, c = self._at(x)
+        return 0.5 * (s * c).sum(1)
+
+    def gradient(self, x: FloatArray, state: None = None) -> FloatArray:
+        a, b, n, d, _, c = self._at(x)
+        of_x = c[:, None] @ d @ self._turning(a, b)
+        return np.hstack([of_x[:, 0], (c[:, :, None] * n[:, None]).reshape(-1, 9)])
+
+    def hessian(self, x: FloatArray, state: None, convex: bool) -> FloatArray:
+        """With `convex` without the second derivatives of s (Gauss-Newton)."""
+        a, b, n, d, _, c = self._at(x)
+        m, by_x = len(n), self._turning(a, b)
+        of_d = (np.eye(3)[:, :, None] * n[:, None, None]).reshape(m, 3, 9)
+        J = np.concatenate([d @ by_x, of_d], axis=2)
+        H = J.transpose(0, 2, 1) @ self.weights @ J
+        if not convex:
+            mixed = by_x.transpose(0, 2, 1)[:, :, None] * c[:, None, :, None]
+            H[:, :9, 9:] += mixed.reshape(m, 9, 9)
+            H[:, 9:, :9] += mixed.reshape(m, 9, 9).transpose(0, 2, 1)
+            D = crossing((c[:, None] @ d)[:, 0]).transpose(0, 2, 1)
+            of_both = self.turn[:, :, None, :, None] * D[:, None, :, None]
+            H[:, :9, :9] += of_both.reshape(m, 9, 9)
+        return H
 
 
 class SlipBending(Quadratic):
@@ -245,3 +287,8 @@ def components(v: FloatArray, fibres: FloatArray) -> FloatArray:
     a, b = fibres
     va, vb, ab = (v * a).sum(1), (v * b).sum(1), (a * b).sum(1)
     return np.stack([va - ab * vb, vb - ab * va], axis=1) / (1.0 - ab**2)[:, None]
+
+
+def crossing(v: FloatArray) -> FloatArray:
+    """(m, 3, 3) matrices of the cross product with vectors (m, 3): `crossing(v) @ w` is v x w."""
+    return np.cross(v[:, None], np.eye(3)).transpose(0, 2, 1)

@@ -7,7 +7,7 @@ import numpy as np
 from ..checks import InputError
 from ..energy.bending import Bending
 from ..energy.membrane import Membrane
-from ..energy.slip import SlipBending, SlippingMembrane, SlipResistance, SlipWidth
+from ..energy.slip import SlipBending, SlippingMembrane, SlipResistance, SlipWidth, Together
 from ..model import Model
 
 
@@ -31,8 +31,9 @@ def let_slip(model: Model) -> None:
     slip = model.add("slip", sheet.dim, sheet)
     model.fixed[slip.dofs] = held
     place = next(i for i, term in enumerate(model.terms) if isinstance(term, Membrane))
-    model.terms[place] = SlippingMembrane(sheet, slip)
+    model.terms[place] = membrane = SlippingMembrane(sheet, slip)
     bends = [SlipBending(t, slip) for t in model.terms if isinstance(t, Bending) and t.in_plane]
     model.terms += [SlipResistance(sheet, slip), SlipWidth(sheet, slip), *bends]
+    model.terms += [Together(membrane)] * (sheet.dim == 3)
     numbers = f"{given.resistance:g} MPa, {given.stiffness:g} N/mm³, pitch {given.pitch:g} mm"
     model.description.append(("slip of the rovings", f"[slip] of the fabric: {numbers}"))
