@@ -351,6 +351,11 @@ def test_pictures_of_a_table():
     span = 3.0 * np.diff(np.quantile(mass[:29], [0.1, 0.9]))
     assert bars[-1].get_width() == pytest.approx(span[0], rel=0.03)
     assert abs(bars[0].get_width()) < 0.1 * span[0]
+    assert "bars: mesh error" in found["scatter.png"].get_suptitle()
+    crowd = {name: 7 * values for name, values in table.items()}
+    scatter = draw.figures(list(table)[:2], ["force_N"], crowd, 7 * rows, True)["scatter.png"]
+    assert scatter.axes[0].get_ylabel() == "force in N\n(± 0.5 mesh)"
+    assert not any(bars.has_yerr for axes in scatter.axes for bars in axes.containers)
     few = table | {"status": ["completed"] * 3}
     assert not draw.figures(["angle"], ["force_N"], few, rows, True)
 

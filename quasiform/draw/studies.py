@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 LEAST = 8  # runs from which on a picture of the table says something
 DENSE = 100  # runs from which on the points of a scatter are faint
+CROWDED = 200  # runs, from which on bars would hide the points
 SHOWN = 4, 6  # outputs and keys of a scatter at most
 STATES = {  # colours; those of limits follow
     "good": "#e6e2ee",
@@ -95,7 +96,7 @@ def _is_number(value: Any) -> bool:
 def scatter_figure(
     keys: Sequence[str], outputs: Sequence[str], table: Table, rows: Sequence[int]
 ) -> Figure:
-    """Each output over each key with the errors of the mesh."""
+    """Each output over each key with the errors of the mesh: bars, or in words of a crowd."""
     outputs, keys = outputs[: SHOWN[0]], keys[: SHOWN[1]]
     figure = new_figure(0.5 + 1.5 * len(outputs))
     panels = figure.subplots(len(outputs), len(keys), sharex="col", sharey="row", squeeze=False)
@@ -109,6 +110,10 @@ def scatter_figure(
     }
     for axes_row, output in zip(panels, outputs, strict=True):
         values, error = (_column(table, name, rows) for name in (output, _error_of(table, output)))
+        label = _words(output)
+        if error is not None and len(rows) > CROWDED:
+            label, error = f"{label}\n(± {np.nanmedian(error):.2g} mesh)", None
+        axes_row[0].set_ylabel(label)
         for axes, key in zip(axes_row, keys, strict=True):
             x = _column(table, key, rows)
             for label, (chosen, colour, more) in kinds.items():
@@ -117,7 +122,6 @@ def scatter_figure(
                     look = {"fmt": "o", "markersize": 2.2, "elinewidth": 0.5, "linewidth": 0.7}
                     look |= {"color": colour, "label": label, "alpha": faint} | more
                     axes.errorbar(x[chosen], values[chosen], bars, **look)
-        axes_row[0].set_ylabel(_words(output))
         room = BEYOND * (np.ptp(values) or 1.0)  # a long bar is cut
         low, high = axes_row[0].get_ylim()
         axes_row[0].set_ylim(max(low, values.min() - room), min(high, values.max() + room))
@@ -126,8 +130,9 @@ def scatter_figure(
     found = panels[0, 0].get_legend_handles_labels()
     if len(found[0]) > 1:
         figure.legend(*found, loc="outside upper right", ncols=3)
-    bars = any(_error_of(table, output) for output in outputs)
-    words = f"{_of(rows, table)}{'; bars: mesh error' * bars}"
+    errors = any(_error_of(table, output) for output in outputs)
+    how = "bars: mesh error" if len(rows) <= CROWDED else "± median mesh error"
+    words = f"{_of(rows, table)}{f'; {how}' * errors}"
     figure.suptitle(words, x=0.01, ha="left")
     return figure
 
