@@ -257,6 +257,7 @@ def _tornado(
             look |= {"left": np.negative(width), "color": FIRST}
             width = [2.0 * value for value in width]
         axes.barh(range(len(order)), width, xerr=None if None in errors else errors, **look)
+        axes.use_sticky_edges = not both
         axes.axvline(0.0, color="0.3", linewidth=0.6)
         axes.set_yticks(range(len(order)), [names[key] for key in order])
         axes.tick_params(axis="y", length=0)
