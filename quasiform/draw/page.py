@@ -97,12 +97,7 @@ def _numbers(
             if value is not None:
                 found.append((spoken(form.format(name)), value, form.format(name), unit))
     return [
-        (
-            re.sub(" -(?=[xy]$)", " −", name.removeprefix("the ")),
-            value,
-            errors.get(error),
-            unit,
-        )
+        (re.sub(" -(?=[xy]$)", " −", name.removeprefix("the ")), value, errors.get(error), unit)
         for name, value, error, unit in found
     ]
 

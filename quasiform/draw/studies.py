@@ -412,11 +412,7 @@ def search_figure(
 
 @styled
 def trim_figure(
-    first: FormedSheet,
-    last: FormedSheet,
-    lines: Sequence[FloatArray],
-    table: Table,
-    within: float,
+    first: FormedSheet, last: FormedSheet, lines: Sequence[FloatArray], table: Table, within: float
 ) -> Figure:
     """Flat blanks, formed edges beside the line seen along z, and how far apart they are."""
     figure = new_figure(3.4)
