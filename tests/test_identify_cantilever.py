@@ -225,6 +225,14 @@ def test_bad_measurements_are_refused_in_one_line(call, message):
     assert "\n" not in str(refused.value)
 
 
+def test_a_refusal_of_a_single_file_names_it(tmp_path):
+    file = tmp_path / "profile.csv"
+    np.savetxt(file, np.column_stack([X, DROP]), "%g", ",", header="x [mm],drop [mm]", comments="")
+    given = {"kind": "cantilever", "family": "warp", "areal_weight": 600.0, "length": 95.0}
+    with pytest.raises(InputError, match=r"profile\.csv: the point farthest out lies 98\.49 mm"):
+        load(file, **given)
+
+
 def test_a_little_stretch_of_the_tape_is_forgiven():
     x, drop, _ = heavy_elastica(droop(165.0))
     reach = 165.0 * np.hypot(x, drop)

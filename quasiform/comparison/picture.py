@@ -49,6 +49,7 @@ def draw(
 
     fields = fields_of(sheets, field, gamma)
     panels = list(fields) or ["outlines"]
+    angle = "γ" if any(np.nanmin(fields[side][1]) < 0 for side in SIDES if fields) else "|γ|"
     panels += ["force"] if forces is not None and forces.shape[1] > 1 else []
     with rc_context(STYLE):
         columns = min(len(panels), 2)
@@ -63,18 +64,18 @@ def draw(
             if panel == "force":
                 for values, style in zip(forces[1:], LINES, strict=True):
                     axes.plot(forces[0], values, **style)
-                axes.set(xlabel="travel, mm", ylabel="force, N")
+                axes.set(xlabel="travel in mm", ylabel="force in N")
                 axes.legend()
                 continue
             if panel in fields:
                 _field(figure, axes, panel, fields, locking)
             _outlines(axes, sheets, panel)
             flat = panel in fields and fields[panel][0].points is None
-            title = TITLES.get(panel, "γ of the {panel}") + ", on the flat blank" * flat
+            title = TITLES.get(panel, angle + " of the {panel}") + ", on the flat blank" * flat
             on = SIDES[field is not sheets[0]]
             axes.set_title(title.format(panel=panel, on=on), parse_math=False)
             axes.set(aspect="equal", xlim=(left, right), ylim=(bottom, top))
-            axes.set(xlabel="x, mm", ylabel="y, mm")
+            axes.set(xlabel="x in mm", ylabel="y in mm")
         for axes in grid[len(panels) :]:
             axes.axis("off")
         figure.suptitle(f"{names[0]} beside {names[1]}", parse_math=False)
@@ -110,7 +111,8 @@ def _field(
         scale |= {"mask": ~np.isfinite(values)[sheet.triangles].all(1), "shading": "gouraud"}
         visible = np.nan_to_num(values)
         colours = axes.tripcolor(x, y, sheet.triangles, visible, rasterized=True, **scale)
-    bar = figure.colorbar(colours, ax=axes, shrink=0.8, label="degrees")
+    what = "difference" if panel == "difference" else "shear angle"
+    bar = figure.colorbar(colours, ax=axes, shrink=0.8, label=f"{what} in °")
     if panel == "difference":
         return
     angles = sorted({round(angle, 3) for angle in locking if angle <= scale["vmax"]})

@@ -63,7 +63,7 @@ def save(
         for part, error in parts.items():
             if error is not None:
                 words += f" ± {number(error, 2)} {part.rpartition('.')[2]}"
-        words += f"{unit(name)}, together ± {number(total, 2)}"
+        words += f", together ± {number(total, 2)}{unit(name)}"
         rows.append((spoken(name).removeprefix("the "), words))
     return rows
 

@@ -63,7 +63,7 @@ def contents(run: Record) -> dict[str, Any]:
     how += f", mirrored to {whole}" if whole != summary["triangles"] else ""
     how += f", path on a {size:g} mm mesh" if size else ""
     return {
-        "title": f"{run.case}, {run.fabric_name}",
+        "title": ", ".join(filter(None, (run.case, run.ply_name, run.fabric_name))),
         "what": f"Computed by quasiform {summary.get('version', '')} on {how}: {travel} "
         f"{number(run.travel)}{' mm' * (unit == 'N')} of {number(run.goal)}.",
         "converged": "Converged" if converged else "Not converged",
@@ -97,12 +97,7 @@ def _numbers(
             if value is not None:
                 found.append((spoken(form.format(name)), value, form.format(name), unit))
     return [
-        (
-            re.sub(" -(?=[xy]$)", " −", name.removeprefix("the ")),
-            value,
-            errors.get(error),
-            unit,
-        )
+        (re.sub(" -(?=[xy]$)", " −", name.removeprefix("the ")), value, errors.get(error), unit)
         for name, value, error, unit in found
     ]
 
@@ -149,11 +144,13 @@ def _on_paper(found: dict[str, Any], pictures: dict[str, bytes]) -> Figure:
                 page.text(left + 0.4, top - 0.0155 * k, value, size=8, ha="right", **look)
         top -= 0.0155 * half + 0.01
         assumed = f"Assumed, not measured: {', '.join(found['assumed']) or 'nothing'}."
-        room = (top - 0.075) / 3
-        for k, (name, caption) in enumerate(PICTURES.items()):
-            axes = page.add_axes((0.07, top - (k + 1) * room, 0.86, room - 0.022))
+        upper, lower = 0.6 * (top - 0.075), 0.4 * (top - 0.075)
+        below = top - upper
+        places = (0.07, top, 0.86, upper), (0.07, below, 0.42, lower), (0.51, below, 0.42, lower)
+        for (name, caption), (left, y, wide, high) in zip(PICTURES.items(), places, strict=True):
+            axes = page.add_axes((left, y - high, wide, high - 0.022), anchor="N")
             axes.imshow(imread(BytesIO(pictures[name])), interpolation="lanczos")
             axes.axis("off")
-            page.text(0.07, top - k * room - 0.004, caption, size=8.5, weight="bold", **look)
+            page.text(left, y - 0.004, caption, size=8.5, weight="bold", **look)
         page.text(0.07, 0.065, textwrap.fill(assumed, 125), size=7.5, **look)
     return page

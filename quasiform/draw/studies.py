@@ -262,6 +262,7 @@ def _tornado(
             look |= {"left": np.negative(width), "color": FIRST}
             width = [2.0 * value for value in width]
         axes.barh(range(len(order)), width, xerr=None if None in errors else errors, **look)
+        axes.use_sticky_edges = not both
         axes.axvline(0.0, color="0.3", linewidth=0.6)
         axes.set_yticks(range(len(order)), [names[key] for key in order])
         axes.tick_params(axis="y", length=0)
@@ -416,11 +417,7 @@ def search_figure(
 
 @styled
 def trim_figure(
-    first: FormedSheet,
-    last: FormedSheet,
-    lines: Sequence[FloatArray],
-    table: Table,
-    within: float,
+    first: FormedSheet, last: FormedSheet, lines: Sequence[FloatArray], table: Table, within: float
 ) -> Figure:
     """Flat blanks, formed edges beside the line seen along z, and how far apart they are."""
     figure = new_figure(3.4)

@@ -131,8 +131,9 @@ def _layout(run: Record, room: float, *, legend: bool) -> dict[str, Any]:
 
 def words(run: Record) -> str:
     """What is seen, in a line: case, fabric, mesh, travel, shear angle, force, verdict."""
+    case = ", ".join(filter(None, (run.case, run.ply_name, run.fabric_name)))
     return (
-        f"{run.case}, {run.fabric_name}, {len(run.sheet.triangles)} triangles: "
+        f"{case}, {len(run.sheet.triangles)} triangles: "
         f"{plot.travel_of(run)}, largest |γ| {np.abs(run.sheet.shear_angle).max():.1f}°, "
         f"force {run.force:.4g} {run.force_unit}, {plot.verdict(run)}"
     )

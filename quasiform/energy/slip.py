@@ -29,7 +29,7 @@ from scipy.sparse import csr_array
 
 from ..net.transfer import interpolated
 from ..unknowns import Field, FloatArray, Sheet
-from .bending import Bending
+from .bending import Bending, skew
 from .membrane import Membrane, along_fibres, dot
 from .term import Quadratic, Standing, Term, frozen, same
 
@@ -218,7 +218,7 @@ class Together(Term):
     def _turning(self, a: FloatArray, b: FloatArray) -> FloatArray:
         """(m, 3, 9) derivatives of n by the corners."""
         g, h = self.g[:, :, None, :, None]
-        return (h * crossing(a)[:, :, None] - g * crossing(b)[:, :, None]).reshape(len(a), 3, 9)
+        return (h * skew(a)[:, :, None] - g * skew(b)[:, :, None]).reshape(len(a), 3, 9)
 
     def energy(self, x: FloatArray, state: None = None) -> FloatArray:
         *_, s, c = self._at(x)
@@ -240,7 +240,7 @@ class Together(Term):
             mixed = by_x.transpose(0, 2, 1)[:, :, None] * c[:, None, :, None]
             H[:, :9, 9:] += mixed.reshape(m, 9, 9)
             H[:, 9:, :9] += mixed.reshape(m, 9, 9).transpose(0, 2, 1)
-            D = crossing((c[:, None] @ d)[:, 0]).transpose(0, 2, 1)
+            D = skew((c[:, None] @ d)[:, 0]).transpose(0, 2, 1)
             of_both = self.turn[:, :, None, :, None] * D[:, None, :, None]
             H[:, :9, :9] += of_both.reshape(m, 9, 9)
         return H
@@ -287,8 +287,3 @@ def components(v: FloatArray, fibres: FloatArray) -> FloatArray:
     a, b = fibres
     va, vb, ab = (v * a).sum(1), (v * b).sum(1), (a * b).sum(1)
     return np.stack([va - ab * vb, vb - ab * va], axis=1) / (1.0 - ab**2)[:, None]
-
-
-def crossing(v: FloatArray) -> FloatArray:
-    """(m, 3, 3) matrices of the cross product with vectors (m, 3): `crossing(v) @ w` is v x w."""
-    return np.cross(v[:, None], np.eye(3)).transpose(0, 2, 1)

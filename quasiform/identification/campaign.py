@@ -352,7 +352,8 @@ def _campaign(table: Mapping[str, Any], file: Path) -> Campaign:
             keys = test.model_dump(include=set(SIZES[test.kind]), exclude_unset=True)
             specimen = KINDS[test.kind](**keys)
         except InputError as error:
-            raise InputError(f"[tests {i}] {error}") from error
+            where = f"[tests {i}]" if file.suffix == ".toml" else f"{file}:"
+            raise InputError(f"{where} {error}") from error
         paths = [file.parent / name for name in test.files]
         shear.append(_shear_test(test, specimen, paths, slip is not None))
         sources += [path for path in paths if path not in sources]
