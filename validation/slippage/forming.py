@@ -20,7 +20,6 @@ from validation.slippage.case import MD600
 
 TABLE = Path(__file__).parent / "forming.csv"
 SCENES = [f"{part}-{angle}" for part in ("hemisphere", "tetrahedron", "box") for angle in (0, 45)]
-SIZE = 5.0  # mm
 LIMIT = 60.0  # s of processor time
 
 
@@ -28,7 +27,7 @@ def row(scene: str, slip: qf.Slip | None) -> dict[str, object]:
     """Figures of one run with the best-fit law."""
     part, angle = scene.split("-")
     fabric = replace(qf.Fabric.preset("best-fit"), slip=slip)
-    model, start = qf.forming(part, float(angle), fabric, size=SIZE), time.process_time()
+    model, start = qf.forming(part, float(angle), fabric), time.process_time()
     signal.signal(signal.SIGPROF, signal.default_int_handler)
     signal.setitimer(signal.ITIMER_PROF, LIMIT)
     result = qf.refine(model, estimate=False)
@@ -36,6 +35,7 @@ def row(scene: str, slip: qf.Slip | None) -> dict[str, object]:
     seconds, slid = time.process_time() - start, result.summary().get("slip", {})
     return {
         "scene": scene,
+        "size_mm": f"{model.size:.2f}",
         "resistance_MPa": slip.resistance if slip else "",
         "travel_mm": f"{result.states[-1].travel:.1f}",
         "factorisations": result.linear_solves,
@@ -53,16 +53,16 @@ def row(scene: str, slip: qf.Slip | None) -> dict[str, object]:
 
 def main(scenes: list[str]) -> None:
     """Run each without and with slip; the hemisphere also with half and double the resistance."""
-    for scene in scenes:
-        factors = (1.0, 0.5, 2.0) if scene.startswith("hemisphere") else (1.0,)
-        slips = [replace(MD600, resistance=f * MD600.resistance) for f in factors]
-        for slip in (None, *slips):
-            found, new = row(scene, slip), not TABLE.exists()
-            with TABLE.open("a", newline="", encoding="utf-8") as file:
-                writer = csv.DictWriter(file, found, lineterminator="\n")
-                if new:
-                    writer.writeheader()
-                writer.writerow(found)
+    runs = [(scene, slip) for scene in scenes for slip in (None, MD600)]
+    changed = [replace(MD600, resistance=f * MD600.resistance) for f in (0.5, 2.0)]
+    runs += [(scene, slip) for scene in scenes if "hemisphere" in scene for slip in changed]
+    for scene, slip in runs:
+        found, new = row(scene, slip), not TABLE.exists()
+        with TABLE.open("a", newline="", encoding="utf-8") as file:
+            writer = csv.DictWriter(file, found, lineterminator="\n")
+            if new:
+                writer.writeheader()
+            writer.writerow(found)
 
 
 if __name__ == "__main__":
