@@ -5,10 +5,10 @@ x of a ply is paired with the point y = Σ b_i x_i of a triangle of the other pl
 coordinates, where x - y is along the normal n of that ply: nodal normals, interpolated by b. The
 surface is smooth: between its nodes it lies higher than the triangle by
 
-    h = 1/2 Σ_(i<j) b_i b_j [(1 + b_j - b_i) n_j - (1 - b_j + b_i) n_i]·(x_j - x_i),
+    h = 1/2 Σ_(i<j) b_i b_j [c_ij |e|² + (b_j - b_i) (n_i + n_j)·e],   e = x_j - x_i,
 
-n_i the normals at its corners: at a node its slope is that of the normal, on the facets beside the
-crest of a short wave too.
+c_ij the curvature along an edge, from normals that are averaged over neighbours: a zigzag of the
+nodes has none. With the normals n_i at the corners a zigzag has no kinks at its nodes either.
 
 With the mean thickness t and the side s = 1 of a node above the other ply, -1 of one below it,
 
@@ -34,6 +34,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from ..checks import InputError
@@ -46,6 +47,7 @@ from .term import Standing, Term, frozen, same
 
 NEAREST = 12  # triangles, by their centroids, among which that under a point is looked for
 MARGIN = 0.03  # how far b may be negative before a node leaves its triangle
+SMOOTHED = 3  # averages of the normals from which h is taken: a zigzag of the nodes has none
 PASSES = 3  # of the search for the foot of the normal
 RIM = 0.2  # over so much of a triangle beyond the rim of the other ply a node loses its contact
 APART = 3.0  # sizes of the mesh on the flat sheet: distant places, which may meet in a fold
@@ -136,6 +138,7 @@ class PlyContact(AtPairs):
         self.blend, self.area = BLEND * self.reach, 0.5 * sheet.blank.node_areas
         corners = other.blank.triangles[np.zeros(len(sheet.dofs), dtype=int)]
         self.dofs = self._table(corners)
+        self._smooth = _averages(other)
         self._last: tuple[FloatArray, IntArray | None, Pairs] | None = None
 
     @property
@@ -173,7 +176,8 @@ class PlyContact(AtPairs):
             found = self._feet(points[lost], corners, normals, near)
             chosen[lost], b[lost], n[lost] = found
         nodes = triangles[chosen]
-        rise = _rise(b, normals[nodes], surface[nodes])
+        means = ((self._smooth @ field)[nodes] for field in (normals, surface))
+        rise = _rise(b, *means, normals[nodes], surface[nodes])
         share = np.clip(1.0 + b.min(1) / RIM, 0.0, 1.0)
         found = Pairs(chosen, self._table(nodes), b, n, rise, share)
         facing = (n * nodal_normals(self.sheet, points)).sum(1) > 0.0
@@ -419,6 +423,19 @@ def folds_on_itself(sheet: Sheet, x: FloatArray) -> bool:
     return bool((np.abs((n * arm).sum(1)[inside]) < 0.5 * sheet.fabric.thickness).any())
 
 
+def _averages(sheet: Sheet) -> csr_array:
+    """(n_nodes, n_nodes) repeated means of values at the nodes of a sheet and their neighbours."""
+    edges, n = sheet.blank.mesh.facets, len(sheet.blank.nodes)
+    own = np.arange(n)
+    at = np.concatenate([own, *edges]), np.concatenate([own, *edges[::-1]])
+    once = csr_array((np.ones(len(at[0])), at), shape=(n, n))
+    once = once / once.sum(1)[:, None]
+    mean = once
+    for _ in range(SMOOTHED - 1):
+        mean = mean @ once
+    return csr_array(mean)
+
+
 def nodal_normals(sheet: Sheet, places: FloatArray) -> FloatArray:
     """(n_nodes, 3) unit normals of a sheet at its nodes, at places (n_nodes, 3).
 
@@ -456,11 +473,18 @@ def _near(b: FloatArray) -> FloatArray:
     return np.clip(b, -2 * MARGIN, 1.0 + 2 * MARGIN)
 
 
-def _rise(b: FloatArray, n: FloatArray, places: FloatArray) -> FloatArray:
-    """(m,) h of points b (m, 3) in triangles of these normals n and places (m, 3, 3), mm."""
+def _rise(
+    b: FloatArray, n: FloatArray, means: FloatArray, normals: FloatArray, places: FloatArray
+) -> FloatArray:
+    """(m,) h of points b (m, 3) in triangles with these places (m, 3, 3) of the corners, mm.
+
+    The curvature along an edge is that of means n of the normals over `means` of the places.
+    """
     b, rise = _near(b), np.zeros(len(b))
     for i, j in ((0, 1), (1, 2), (2, 0)):
-        edge, beyond = places[:, j] - places[:, i], (b[:, j] - b[:, i])[:, None]
-        ends = (1.0 + beyond) * n[:, j] - (1.0 - beyond) * n[:, i]
-        rise += 0.5 * b[:, i] * b[:, j] * (ends * edge).sum(1)
+        edge, mean = places[:, j] - places[:, i], means[:, j] - means[:, i]
+        curvature = ((n[:, j] - n[:, i]) * mean).sum(1) / np.maximum((mean**2).sum(1), 1e-300)
+        twist = ((normals[:, i] + normals[:, j]) * edge).sum(1)
+        bend = curvature * (edge**2).sum(1) + (b[:, j] - b[:, i]) * twist
+        rise += 0.5 * b[:, i] * b[:, j] * bend
     return rise
