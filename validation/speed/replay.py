@@ -2,8 +2,9 @@
 
     python -m validation.speed.replay FOLDER ...
 
-Folders of studies, of which each gives the same share of 1,000 runs, in random order. The time
-scale is such that 16 workers without a moment of idleness need a minute.
+The workers are threads that are reached by TCP as those of a cluster. Each folder of a study gives
+the same share of 1,000 runs, in random order. The time scale is such that 16 workers without a
+moment of idleness need a minute.
 """
 
 from __future__ import annotations
@@ -45,7 +46,8 @@ def main(folders: Sequence[str]) -> None:
     jobs = deque(SimpleNamespace(description=float(s)) for s in seconds)
     plan = SimpleNamespace(files={}, study=SimpleNamespace(leaves=(False, False)))
     places.outcome = wait
-    with LocalCluster(WORKERS, threads_per_worker=1, dashboard_address=None) as cluster:
+    threads = {"processes": False, "threads_per_worker": 1, "protocol": "tcp"}
+    with LocalCluster(n_workers=WORKERS, dashboard_address=None, **threads) as cluster:
         with cluster.get_client() as client:
             client.wait_for_workers(WORKERS)
             start = time.perf_counter()
