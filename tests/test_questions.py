@@ -404,4 +404,4 @@ def test_the_questions_of_the_documentation_are_some(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("net.csv").write_text("x,y\n120,0\n0,120\n-120,0\n0,-120\n", encoding="utf-8")
     counts = [len(plan(tomllib.loads(text.replace("64", "8"))).jobs) for text in studies]
-    assert counts == [32, 36, 20, 8, 1]
+    assert counts == [32, 36, 9, 8, 1]
