@@ -96,7 +96,7 @@ def _is_number(value: Any) -> bool:
 def scatter_figure(
     keys: Sequence[str], outputs: Sequence[str], table: Table, rows: Sequence[int]
 ) -> Figure:
-    """Each output over each key with the errors of the mesh: bars, or in words of a crowd."""
+    """Each output over each key with the errors of the mesh: bars, or of many runs the median."""
     outputs, keys = outputs[: SHOWN[0]], keys[: SHOWN[1]]
     figure = new_figure(0.5 + 1.5 * len(outputs))
     panels = figure.subplots(len(outputs), len(keys), sharex="col", sharey="row", squeeze=False)

@@ -161,11 +161,15 @@ def _buckled(result: Outcome) -> bool:
     return depth > LIFTED * result.model.sheet.fabric.thickness
 
 
+def buckled_away(result: Outcome) -> bool:
+    """Whether the sheet left a saddle by more than a tenth of its thickness."""
+    return result.parted > LIFTED * result.model.sheet.fabric.thickness
+
+
 def one_of_many(result: Outcome) -> str:
     """Why the state found is one of several; empty where nothing shows so."""
     signs, snaps = [], result.snaps
-    apart = result.parted > LIFTED * result.model.sheet.fabric.thickness
-    if apart and (saddles := result.rescues.get("saddle left", 0)):
+    if buckled_away(result) and (saddles := result.rescues.get("saddle left", 0)):
         times = "once" if saddles == 1 else f"{saddles} times"
         signs.append(f"the sheet became unstable and buckled away {times}")
     if snaps:

@@ -273,8 +273,8 @@ def _ply(number: int, table: _Ply, law: str | Fabric, folder: Path) -> Ply:
     if table.fabric is not None:
         own = _fabric(table.fabric, own or law, f"[plies {number}.fabric]")
     keys = ("orientation", "blank", "offset", "joined", "friction")
-    own = {"law": own, "stitches": tuple(table.stitches)}
-    return Ply(**own, **{key: getattr(table, key) for key in keys})
+    seams = tuple(table.stitches)
+    return Ply(law=own, stitches=seams, **{key: getattr(table, key) for key in keys})
 
 
 class _Diaphragm(Table):

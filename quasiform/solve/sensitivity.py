@@ -25,7 +25,7 @@ import numpy as np
 from ..checks import InputError, suggestion
 from ..model import Model
 from ..potential import Memory, Potential
-from ..result.certificate import LIFTED, certify, one_of_many
+from ..result.certificate import buckled_away, certify, one_of_many
 from ..result.outcome import Outcome
 from ..unknowns import FloatArray, IntArray
 from .linear import linear_solver, mirrored
@@ -136,7 +136,7 @@ class Track:
         if result.snaps:
             at = f"{result.snaps[0]['to_mm']:.4g} mm"
             return f"the sheet jumped to another state near {at}: there the path has no derivative"
-        if result.parted > LIFTED * result.model.sheet.fabric.thickness:
+        if buckled_away(result):
             words = f"the sheet became unstable and buckled away, by {result.parted:.2g} mm"
             return f"{words}: there the path has no derivative"
         if result.stabilisation:
