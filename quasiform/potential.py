@@ -73,7 +73,7 @@ class Potential:
         places = np.searchsorted(self._keys, wanted)
         missing = wanted[~_holds(self._keys, wanted, places)]
         if len(missing) or not self._shares:
-            keys = np.union1d(self._keys, missing) if len(self._keys) else missing
+            keys = np.insert(self._keys, np.searchsorted(self._keys, missing), missing)
             moved = np.append(np.searchsorted(keys, self._keys), len(keys)).astype(np.int32)
             for of, old in slots.items():
                 slots[of] = np.where(old < 0, ~moved[np.where(old < 0, ~old, 0)], moved[old])

@@ -1,6 +1,7 @@
 """Stacks of plies: the energy between two plies, exact cases, scenes, refusals and results."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from quasiform.energy.stitches import Stitches
 from quasiform.energy.weight import GRAVITY, SheetWeight, ToolWeight
 from quasiform.recipe import Recipe
 from quasiform.result.assumed import assumed
+from quasiform.result.measures import max_ply_penetration
 from quasiform.result.plies import between_plies
 from quasiform.result.record import Record
 from quasiform.result.sheet import FormedSheet
@@ -371,7 +373,7 @@ def test_only_planes_of_the_whole_stack_are_kept():
 
 
 def test_plies_lie_on_each_other_at_the_start_and_meet_the_tools_that_they_can():
-    model = stacked([0, 45, 90])
+    model = stacked([0, 90, 0])
     heights = [ply.positions(model.x0)[:, 2].mean() for ply in model.sheets]
     assert_allclose(-np.diff(heights), T0, rtol=0.01)
     pairs = {(c.sheet.name, c.tool.name) for c in model.contacts}
@@ -381,6 +383,42 @@ def test_plies_lie_on_each_other_at_the_start_and_meet_the_tools_that_they_can()
         ("ply 2", "ply 3"),
     ]
     assert any("left out: ply 1 with ply 3" in entry for entry, _ in model.description)
+
+
+def test_rims_of_plies_at_an_angle_come_free_and_meet_all_tools_and_plies():
+    model = stacked([0, 45, 90])
+    pairs = {(c.sheet.name, c.tool.name) for c in model.contacts}
+    assert len(pairs) == 9
+    names = [(a.sheet.name, b.sheet.name) for a, b in model.ply_pairs]
+    assert names == [("ply 1", "ply 2"), ("ply 1", "ply 3"), ("ply 2", "ply 3")]
+
+
+def test_plies_are_soft_at_first_and_then_as_stiff_as_on_a_tool():
+    (above, below), _ = on_a_dome(size=25.0)
+    contact = PlyContact(above, below, True)
+    k, e, soft = above.fabric.compaction, 0.05 / 1.004 * T0, 0.03
+    assert contact.loft == pytest.approx(0.2 * T0)
+    p = np.array([-0.1, 0.1 * T0, 0.2 * T0, 0.3 * T0])
+    exact = [0.0, soft * k * (p[1] - e / 2), soft * k * (p[2] - e / 2)]
+    exact += [soft * k * (p[3] - e / 2) + k * (0.1 * T0 - e / 2)]
+    assert_allclose(contact.pressure(p), exact, rtol=1e-9)
+
+
+def test_the_certificate_judges_the_depth_beyond_the_soft_one():
+    (above, below), x = on_a_dome(size=4.0)
+    contacts = PlyContact(above, below, True), PlyContact(below, above, False)
+    model = SimpleNamespace(ply_pairs=[contacts])
+    x = x.copy()
+    for extra, depth in ((0.0, 0.0), (0.21 * T0, 0.03 * T0)):  # on a dome they overlap by 0.02 t
+        x[above.dofs[:, 2]] -= extra
+        found = max_ply_penetration(model, x)
+        assert found == pytest.approx(depth, abs=4e-3)
+
+
+def test_a_tool_is_as_many_times_stiffer_as_plies_press_on_it():
+    one, two = stacked([0]), stacked([0, 90])
+    assert {c.compaction for c in one.contacts} == {one.sheets[0].fabric.compaction}
+    assert {c.compaction for c in two.contacts} == {2 * one.sheets[0].fabric.compaction}
 
 
 def test_a_ply_that_is_not_covered_meets_the_punch_too():

@@ -9,7 +9,7 @@ import quasiform as qf
 from quasiform import theory
 from quasiform.energy.bending import Bending
 from quasiform.energy.membrane import Membrane
-from quasiform.solve import newton
+from quasiform.solve import newton, tangent
 from quasiform.solve.equilibrium import Equilibrium
 from quasiform.unknowns import Unknowns
 
@@ -55,6 +55,27 @@ def test_linear_solvers_find_the_same_state(convex):
     scene = qf.off_axis_tension(displacement=10, size=40)
     result = qf.solve(scene, linear="superlu", convex=convex, estimate=False)
     assert result.force == pytest.approx(qf.solve(scene, estimate=False).force, rel=1e-4)
+
+
+def test_a_factor_serves_the_steps_after_it(monkeypatch):
+    def solved():
+        return qf.solve(qf.forming("hemisphere", size=5.0, travel=25.0), estimate=False)
+
+    reused = solved()
+    monkeypatch.setattr(tangent, "FEW", np.inf)
+    each = solved()
+    assert reused.linear_solves < 0.7 * each.linear_solves
+    assert reused.states[-1].force == pytest.approx(each.states[-1].force, rel=2e-4)
+    assert np.abs(reused.states[-1].x - each.states[-1].x).max() < 0.01
+
+
+def test_newtons_method_ends_after_the_steps_asked_for():
+    equations = Equilibrium(qf.off_axis_tension(45, displacement=5.0, size=20.0))
+    x = newton.predict(equations, equations.model.x0, 5.0)
+    before = equations.residual(equations.gradient(x))
+    moved = newton.minimise(equations, x, 1e-12, steps=1)
+    assert 1e-12 < equations.residual(equations.gradient(moved)) < before
+    assert equations.tangent.factorisations == 2
 
 
 def test_relaxation_alone_reaches_newtons_state():

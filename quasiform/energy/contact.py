@@ -209,15 +209,21 @@ class AtPoints(Term):
 class Contact(AtPoints):
     """Normal contact of points of the sheet, by default its nodes, with one tool.
 
-    The fabric supplies the thickness t0 and the compaction stiffness k. `tool_dofs` (1,) or (3,)
-    are the numbers in x of the tool's height and, if it tilts, of its tilts.
+    The fabric supplies the thickness t0 and the compaction stiffness k, times the number of
+    `plies`, which press on the tool together. `tool_dofs` (1,) or (3,) are the numbers in x of the
+    tool's height and, if it tilts, of its tilts.
 
     A tool is evaluated only for points that it may touch: around each point that was found clear
     of it there is a ball in which it stays clear, as no distance changes faster than its place.
     """
 
     def __init__(
-        self, sheet: Sheet, tool: Tool, tool_dofs: IntArray, points: Points | None = None
+        self,
+        sheet: Sheet,
+        tool: Tool,
+        tool_dofs: IntArray,
+        points: Points | None = None,
+        plies: int = 1,
     ) -> None:
         self.sheet, self.tool, self.tool_dofs = sheet, tool, np.ravel(tool_dofs)
         self.contact = self
@@ -241,7 +247,7 @@ class Contact(AtPoints):
         self.far_off = FAR_OFF * self.lever
         self.area = self.points.areas
         self.reach = 0.5 * sheet.fabric.thickness - self.points.sag
-        self.compaction = sheet.fabric.compaction
+        self.plies, self.compaction = plies, plies * sheet.fabric.compaction
 
     @property
     def places(self) -> FloatArray:

@@ -12,9 +12,12 @@ nodes has none. With the normals n_i at the corners a zigzag has no kinks at its
 
 With the mean thickness t and the side s = 1 of a node above the other ply, -1 of one below it,
 
-    E = Σ w φ(p),   p = t - s [n·(x - y) - h],   w half the area of the node,
+    E = Σ w [φs(p) + φ(p - l)],   p = t - s [n·(x - y) - h],   w half the area of the node,
 
-with the compaction law φ of the tools (`contact`). Triangle, b, n and h are lagged: `refresh` finds
+with the compaction law φ of the tools (`contact`), and φs the same with a small part of its
+stiffness: plies are soft up to the depth l (`SOFT`, `LOFT`, assumed), as a stack of fabric is.
+Where they were stiff at once, nets that differ by more than they can be pressed would touch at few
+nodes, and forces would jump from one to the other. Triangle, b, n and h are lagged: `refresh` finds
 them, so that energy, gradient and Hessian are exact for fixed pairs. The force on x is divided
 among the corners of the triangle by b: the forces of both plies are equal and opposite.
 
@@ -49,6 +52,8 @@ NEAREST = 12  # triangles, by their centroids, among which that under a point is
 MARGIN = 0.03  # how far b may be negative before a node leaves its triangle
 SMOOTHED = 3  # averages of the normals from which h is taken: a zigzag of the nodes has none
 PASSES = 3  # of the search for the foot of the normal
+SOFT = 0.03  # of the compaction stiffness: that of plies on each other at first (assumed)
+LOFT = 0.2  # of the mean thickness: how far (assumed)
 RIM = 0.2  # over so much of a triangle beyond the rim of the other ply a node loses its contact
 APART = 3.0  # sizes of the mesh on the flat sheet: distant places, which may meet in a fold
 DEEP = 3.0  # of the mean thickness: what is farther on the wrong side is on another fold
@@ -136,6 +141,7 @@ class PlyContact(AtPairs):
         self.reach = float(np.mean([fabric.thickness for fabric in fabrics]))
         self.compaction = 2.0 / sum(1.0 / fabric.compaction for fabric in fabrics)
         self.blend, self.area = BLEND * self.reach, 0.5 * sheet.blank.node_areas
+        self.loft = LOFT * self.reach
         corners = other.blank.triangles[np.zeros(len(sheet.dofs), dtype=int)]
         self.dofs = self._table(corners)
         self._smooth = _averages(other)
@@ -209,7 +215,10 @@ class PlyContact(AtPairs):
         return self.initial(new.x)
 
     def penetration(self, x: FloatArray, state: Pairs) -> FloatArray:
-        """(m,) p, mm; negative where the plies are clear of each other, or without a pair."""
+        """(m,) p, mm; negative where the plies are clear of each other, or without a pair.
+
+        Up to `loft` the plies are soft.
+        """
         p = self.reach - self.side * ((state.normal * state.relative(x)).sum(1) - state.rise)
         return np.where(state.share > 0, p, -np.inf)
 
@@ -217,8 +226,10 @@ class PlyContact(AtPairs):
         """(m,) contact pressure, MPa, by the penetration: at half the weight, of one direction."""
         return self._law(p)[1]
 
-    def _law(self, p: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        return compaction_law(p, self.compaction, self.blend)
+    def _law(self, p: FloatArray) -> tuple[FloatArray, ...]:
+        soft = compaction_law(p, SOFT * self.compaction, self.blend)
+        stiff = compaction_law(p - self.loft, self.compaction, self.blend)
+        return tuple(a + b for a, b in zip(soft, stiff, strict=True))
 
     def acting(self, x: FloatArray, state: Pairs) -> Acting:
         p = self.penetration(x, state)

@@ -252,16 +252,14 @@ def _nelder_mead(tests: Sequence[Forces], unknowns: Unknowns) -> Any:
     """Simplex search as in the paper, repeated from its result until that stays."""
 
     def cost(p: FloatArray) -> float:
-        if (p < unknowns.bounds[0]).any() or (p > unknowns.bounds[1]).any():
-            return np.inf
         law = unknowns.law(p)
         off = [(test.predicted(law) - test.force) / test.sigma for test in tests]
         return float((np.concatenate(off) ** 2).sum())
 
-    p, best = unknowns.start, np.inf
+    p, best, within = unknowns.start, np.inf, list(zip(*unknowns.bounds, strict=True))
     settings = {"maxiter": 4000, "maxfev": 4000, "xatol": 1e-10, "fatol": 1e-12, "adaptive": True}
     for _ in range(20):
-        found = sp.optimize.minimize(cost, p, method="Nelder-Mead", options=settings)
+        found = sp.optimize.minimize(cost, p, method="Nelder-Mead", bounds=within, options=settings)
         p = found.x
         if found.fun > (1 - 1e-6) * best:
             break

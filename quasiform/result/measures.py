@@ -230,8 +230,11 @@ def max_penetration(model: Model, x: FloatArray) -> float:
 
 
 def max_ply_penetration(model: Model, x: FloatArray) -> float:
-    """Deepest penetration of plies into each other at their nodes, mm; 0 of one sheet."""
-    found = (c.penetration(x, c.pairs(x)).max() for pair in model.ply_pairs for c in pair)
+    """Deepest penetration of plies into each other at their nodes, mm; 0 of one sheet.
+
+    Beyond the depth to which they are soft.
+    """
+    found = (c.penetration(x, c.pairs(x)).max() - c.loft for pair in model.ply_pairs for c in pair)
     return max([0.0, *map(float, found)])
 
 

@@ -368,11 +368,12 @@ def _with_tools(
     model: Model, file: SceneFile, tools: list[Tool], layers: Sequence[Layer]
 ) -> list[Contact]:
     """Contact of each ply with each tool that it can touch."""
-    contacts, left_out = [], []
+    contacts, left_out, plies = [], [], max(1, sum(bool(layer.plies) for layer in layers))
     for part, tool in zip(file.tools, tools, strict=True):
+        dofs = model.unknowns[tool.name].dofs
         for k, sheet in enumerate(model.sheets):
             if len(layers) == 1 or stack.meets(layers, k, part.role):
-                contacts.append(Contact(sheet, tool, model.unknowns[tool.name].dofs))
+                contacts.append(Contact(sheet, tool, dofs, plies=plies))
             else:
                 left_out.append(f"{sheet.name} with {tool.name}")
     if left_out:
@@ -449,7 +450,7 @@ def _between_nodes(model: Model, contacts: Sequence[Contact]) -> list[Contact]:
         why = f"a tool bends more sharply than the elements{what_resolves(radii, size)}"
     model.description.append((f"contact at nodes{' and mid-edges' * bool(sharp)}", why))
     edges = {sheet.name: at_edges(sheet.blank) for sheet in model.sheets}
-    return [Contact(c.sheet, c.tool, c.tool_dofs, edges[c.sheet.name]) for c in sharp]
+    return [Contact(c.sheet, c.tool, c.tool_dofs, edges[c.sheet.name], c.plies) for c in sharp]
 
 
 def _measure(model: Model) -> None:

@@ -143,6 +143,10 @@ def _seen(layer: Layer, over: Sequence[Layer]) -> bool:
     return free.area > EPS * layer.outline.area
 
 
+def _at_an_angle(layers: Sequence[Layer]) -> bool:
+    return len({round(layer.orientation % 90.0, 6) for layer in layers}) > 1
+
+
 def heights(layers: Sequence[Layer]) -> list[float]:
     """Heights of the mean surfaces over the die, mm."""
     t = np.array([layer.fabric.thickness for layer in layers])
@@ -156,8 +160,12 @@ def outline_of(layers: Sequence[Layer]) -> shapely.Polygon:
 
 
 def meets(layers: Sequence[Layer], k: int, role: str) -> bool:
-    """Whether layer k can touch a tool of a role: no other plies lie between."""
-    return _seen(layers[k], layers[:k] if role != "die" else layers[k + 1 :])
+    """Whether layer k can touch a tool of a role: no other plies keep it from it.
+
+    Plies at an angle to each other draw in differently, and their rims come free.
+    """
+    between = layers[:k] if role != "die" else layers[k + 1 :]
+    return _seen(layers[k], between) or _at_an_angle([layers[k], *between])
 
 
 def between_plies(model: Model, layers: Sequence[Layer]) -> list[Term]:
@@ -169,7 +177,9 @@ def between_plies(model: Model, layers: Sequence[Layer]) -> list[Term]:
         for k in range(i + 1, len(layers)):
             both = layers[i].outline.intersection(layers[k].outline)
             if both.area <= EPS * layers[k].outline.area or (
-                k > i + 1 and not _seen(replace(layers[i], outline=both), layers[i + 1 : k])
+                k > i + 1
+                and not _seen(replace(layers[i], outline=both), layers[i + 1 : k])
+                and not _at_an_angle(layers[i : k + 1])
             ):
                 left_out.append(f"{layers[i].name} with {layers[k].name}")
                 continue
@@ -219,8 +229,7 @@ def described(layers: Sequence[Layer]) -> list[tuple[str, str]]:
         joint = " are one sheet," if len(layer.plies) > 1 else ""
         words.append(f"{numbers}{joint} at {layer.orientation:g}°, {layer.fabric.name}")
     lines = [("plies from the punch down", "; ".join(words))]
-    turned = {round(layer.orientation % 90.0, 6) for layer in layers}
-    if len(turned) > 1:
+    if _at_an_angle(layers):
         why = "warp and weft of the plies do not run alike: much slower, and it may stop early"
         lines.append(("plies at an angle to each other", why))
     return lines

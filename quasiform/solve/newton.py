@@ -30,6 +30,8 @@ from .linear import NotConvergedError
 
 LEAST_SHARE = 0.1  # of a change of the normal forces that is taken over where plies meet
 FURTHER = 2  # steps of one factor after a whole step
+PASSES, PASSES_PLIES = 60, 150  # most, with fresh lagged values each
+STEPS_PLIES = 5  # of Newton's method in one pass, where pairs of plies are lagged
 
 
 def predict(equations: Equilibrium, x: FloatArray, travel: float) -> FloatArray:
@@ -46,11 +48,16 @@ def predict(equations: Equilibrium, x: FloatArray, travel: float) -> FloatArray:
 
 
 def minimise(
-    equations: Equilibrium, x: FloatArray, tolerance: float = 0.0, max_iterations: int = 0
+    equations: Equilibrium,
+    x: FloatArray,
+    tolerance: float = 0.0,
+    max_iterations: int = 0,
+    steps: int = 0,
 ) -> FloatArray:
     """Newton iterations with the lagged values as they are, to the tolerance or a looser one.
 
-    Raises NotConvergedError with the reason and the place of the largest residual.
+    Ends after so many `steps` if they are given. Raises NotConvergedError with the reason and the
+    place of the largest residual.
     """
     free, tangent = equations.free, equations.tangent
     tolerance = tolerance or equations.tolerance
@@ -58,10 +65,10 @@ def minimise(
     tangent.restart()  # what was lagged, or the bed, may be another one
     stress, equations.foreseen = equations.foreseen, None
     energies = [equations.energy(x)]
-    for _ in range(max_iterations):
+    for i in range(max_iterations):
         g = equations.gradient(x)
         residual = equations.residual(g)
-        if residual < tolerance:
+        if residual < tolerance or 0 < steps <= i:
             return x
         d = np.zeros_like(x)
         d[free] = tangent.step(x, equations.memory, g[free], stress)
@@ -146,9 +153,9 @@ def settle(equations: Equilibrium, x: FloatArray) -> FloatArray:
     Int. J. Numer. Methods Eng. 1 (1969) 275-277).
     """
     mixed, goal = equations.mixed, equations.goal
-    # pairs of plies are lagged too: more passes, of which most take one factorisation
     stack = bool(equations.model.ply_contacts)
-    passes = 60 if equations.at_end or stack else 12
+    passes = PASSES_PLIES if stack else PASSES if equations.at_end else 12
+    few = STEPS_PLIES if stack else 0
     inner = max(goal, 0.1) if mixed else goal
     used, fresh = [], []  # lagged values that the state was solved with, and those then found
     share = 1.0
@@ -157,7 +164,7 @@ def settle(equations: Equilibrium, x: FloatArray) -> FloatArray:
         with equations.tangent.counted_as("friction" if i else "balance"):
             if i and equations.turns:
                 x, _ = _further(equations, x, equations.energy(x), inner)
-            x = minimise(equations, x, inner)
+            x = minimise(equations, x, inner, steps=few)
         if not equations.remembers:
             return x
         equations.refresh(x)

@@ -1,8 +1,9 @@
 """The tangent: exact where it is positive definite, the nearby convex one where it is not.
 
 The convex tangent alone is too stiff: it then serves as preconditioner of conjugate gradients on
-the exact one, which end at the first direction of negative curvature [1]_. Factorisations are
-counted: the unit in which work is measured.
+the exact one, which end at the first direction of negative curvature [1]_. So does every factor in
+the steps after it: another one is made only where a few iterations with it are not enough.
+Factorisations are counted: the unit in which work is measured.
 
 References
 ----------
@@ -25,6 +26,8 @@ from .linear import Pardiso, SingularMatrixError, SuperLU, linear_solver
 KEPT = 8  # further steps with the convex tangent before the exact one is tried again
 FORCING = 0.1  # residual of the conjugate gradients relative to the first, in their own norm
 MOST = 30  # of their iterations
+MOST_WITH_OLD = 10  # of them with the factor of an earlier step,
+FEW = 2500  # beyond so many unknowns: below, a factorisation takes no longer
 
 
 class Tangent:
@@ -45,6 +48,7 @@ class Tangent:
         self._factored: tuple[FloatArray, bool, int] | None = None
 
     def _solver(self) -> Pardiso | SuperLU:
+        self._definite = False  # whether the present factor is that of a positive definite matrix
         linear, places, held = self._given
         return linear_solver(linear, self.potential.pattern, places, held)
 
@@ -112,10 +116,11 @@ class Tangent:
         return self._factored[2], load
 
     def _factor(self, x: FloatArray, convex: bool, values: FloatArray) -> int:
-        self._factored = None
+        self._factored, self._definite = None, False
         self.counts[(self._purpose or "check") + ", convex" * convex] += 1
-        self._factored = x.copy(), convex, self.solver.factor(values)
-        return self._factored[2]
+        negative = self.solver.factor(values)
+        self._factored, self._definite = (x.copy(), convex, negative), convex or not negative
+        return negative
 
     def factor_definite(self, x: FloatArray, memory: Memory, motion: FloatArray) -> FloatArray:
         """Factorise the exact tangent if it is positive definite, else the convex one.
@@ -138,13 +143,19 @@ class Tangent:
     ) -> FloatArray:
         """Newton's step (n_free,) from x, against the free part g of the gradient.
 
-        Where the exact tangent is not positive definite, the convex one is factorised there and in
-        the next steps. With `convex` "never" the exact one is taken whatever it is.
+        The last factor serves as long as it can. Where the exact tangent is not positive definite,
+        the convex one is factorised there and in the next steps. With `convex` "never" the exact
+        one is taken whatever it is.
         """
         if self.convex == "always":
             self.factor(x, memory, True, stress=stress)
             return -self.solve(g)
         exact = self.potential.hessian(x, memory, False, stress=stress)[0]
+        reuse = self._definite and stress is None and len(g) > FEW
+        if reuse and self.convex != "never":
+            d, enough = self._truncated(exact, g, MOST_WITH_OLD)
+            if enough:
+                return d
         if not self._kept:
             try:
                 if not self._factor(x, False, exact) or self.convex == "never":
@@ -156,12 +167,13 @@ class Tangent:
             self._kept = KEPT + 1
         self._kept -= 1
         self._factor(x, True, self.potential.hessian(x, memory, True, stress=stress)[0])
-        return self._truncated(exact, g)
+        return self._truncated(exact, g, MOST)[0]
 
-    def _truncated(self, values: FloatArray, g: FloatArray) -> FloatArray:
+    def _truncated(self, values: FloatArray, g: FloatArray, most: int) -> tuple[FloatArray, bool]:
         """Conjugate gradients on a tangent of these values, preconditioned by the present factor.
 
-        Towards its step from the gradient g; up to the first direction of negative curvature.
+        Towards its step from the gradient g; up to the first direction of negative curvature. The
+        step, and whether it ended there or is close enough.
         """
         pattern = self.potential.pattern
         upper = csr_array((values, pattern.indices, pattern.indptr), shape=pattern.shape)
@@ -170,19 +182,19 @@ class Tangent:
         z = self.solve(r)
         p, now = z, r @ z
         enough = FORCING**2 * now
-        for i in range(MOST):
+        for i in range(most):
             product = upper @ p + upper.T @ p - diagonal * p
             curvature = p @ product
             if curvature <= 1e-8 * now:
-                return d if i else z
+                return (d, True) if i else (z, False)
             length = now / curvature
             d, r = d + length * p, r - length * product
             z = self.solve(r)
             before, now = now, r @ z
             if now < enough:
-                break
+                return d, True
             p = z + (now / before) * p
-        return d
+        return d, False
 
     def solve(self, b: FloatArray) -> FloatArray:
         return self.solver.solve(b)
