@@ -68,7 +68,11 @@ def _outwards(
 
 
 def keep_middle(model: Model, sheet: Sheet, file: SceneFile) -> None:
-    """Without friction the middle of a sheet keeps its place in the plane."""
+    """Without friction the middle of a sheet keeps its place in the plane, and a node its side.
+
+    That node lies on the x axis, or as near to it as the net allows: it then moves along x, however
+    the fibres run, and the sheet does not turn.
+    """
     fixed, blank = model.fixed, sheet.blank
     if file.supports or file.grippers or len(blank.mirror) == 2:
         return
@@ -77,7 +81,9 @@ def keep_middle(model: Model, sheet: Sheet, file: SceneFile) -> None:
         if plane not in blank.mirror:
             fixed[sheet.dofs[middle, axis]] = True
     if not blank.mirror:
-        far = np.linalg.norm(blank.nodes - blank.warp * 4 * model.size, axis=1).argmin()
-        fixed[sheet.dofs[far, int(abs(blank.warp[1]) < abs(blank.warp[0]))]] = True
+        x, y = np.abs(blank.nodes - blank.nodes[middle]).T
+        aside = np.where((x > 3 * blank.size) & (x < 12 * blank.size), y / np.maximum(x, 1e-9), 1)
+        far = np.lexsort([x, aside.round(6)])[0]
+        fixed[sheet.dofs[far, 1]] = True
     why = "no friction keeps it in place"
     model.description.append((f"middle of the {sheet.name} fixed in the plane", why))
