@@ -94,9 +94,6 @@ def _check_possible(file: SceneFile) -> None:
             raise InputError(f"[plies {i}] joined plies have no stitches of their own")
     if isinstance(file.mesh, Path) or file.mesh != "fibre":
         raise InputError("[[plies]] need mesh = 'fibre'")
-    if file.supports or file.grippers:
-        key = "supports" if file.supports else "grippers"
-        raise InputError(f"[[{key}]] are not possible together with [[plies]]")
 
 
 def _joined(above: Layer, layer: Layer) -> Layer:
