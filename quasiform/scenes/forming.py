@@ -351,7 +351,7 @@ def _assemble(model: Model, file: SceneFile, tools: list[Tool], layers: Sequence
     if not frictions:
         model.description.append(("friction left out", "its coefficient is zero"))
         keep_middles(model, {*supported, *(pull.sheet.name for pull in pulls)}, between)
-    weights += [*_sheet_weights(model, file, layers), *pressure_on_sheet(model, file)]
+    weights += [*_sheet_weights(model, file, layers), *pressure_on_sheet(model, file, layers)]
     model.resting += sum(g.tension for g in file.grippers)
     model.resting += sum(
         file.gravity * 1e-6 * GRAVITY * sheet.fabric.areal_weight * sheet.blank.areas.sum()
