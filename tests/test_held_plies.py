@@ -111,8 +111,8 @@ def test_two_plies_move_under_twice_the_pull_as_one_does():
     pair, alone = pulled(2, 2.0), pulled()
     assert (pair.status, alone.status) == ("completed", "completed")
     for k in (0, 1):
-        assert_allclose(motion(pair, k), motion(alone), atol=1e-5)  # of 23 mm
-        assert_allclose(borne(pair, k), borne(alone), atol=1e-5)
+        assert_allclose(motion(pair, k), motion(alone), atol=1e-4)  # of 23 mm
+        assert_allclose(borne(pair, k), borne(alone), atol=1e-4)
     u = motion(alone)[np.isclose(alone.blank.nodes[:, 0], 80.0), 0]
     assert -60.0 < borne(alone)[0] < -60.0 + 5.0 * u.max()
 

@@ -468,9 +468,6 @@ def test_what_is_not_possible_with_plies():
         stacked([0, 45], law=slipping)
     with pytest.raises(qf.InputError, match="mesh = 'fibre'"):
         stacked([0, 45], overrides={"mesh": "free"})
-    support = {"supports": [{"side": "+x", "fix": "z"}]}
-    with pytest.raises(qf.InputError, match=r"\[\[supports\]\]"):
-        stacked([0, 45], overrides=support)
 
 
 def test_plies_of_like_directions_need_twice_the_force_of_one():
