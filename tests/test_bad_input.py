@@ -453,6 +453,7 @@ BASES = [tomllib.loads(scene) for scene in (ROUND, RICH)]
 BUILT_IN = [tomllib.loads(path.read_text("utf-8")) for path in sorted(FOLDER.glob("*.toml"))]
 HELD = {"supports": [{"side": "-x", "fix": "xyz"}], "outputs": {"pictures": False}}
 HELD["grippers"] = [{"side": "+x", "tension": 5.0, "stiffness": 0.1}]
+HELD_PLIES = HELD | {"grippers": [HELD["grippers"][0] | {"plies": [2]}], "plies": [{}, {}]}
 NOTCH = {"shape": "disc", "radius": 12.0, "centre": [80.0, 0.0]}
 NOTCHED = {"blank": BASES[0]["blank"] | {"holes": [NOTCH]}, "outputs": {"pictures": False}}
 NOTCHED["grippers"] = [{"box": [60.0, -80.0, 80.0, 80.0], "tension": 5.0}]
@@ -474,7 +475,7 @@ CUT = {"darts": {"points": [[40.0, 0.0], [90.0, -9.0], [90.0, 9.0]]}, "slits": [
 CUT["slits"] = [{"points": [[0.0, 40.0], [9.0, 85.0]], "centre": [0.0, 0.0]}]
 SLIT = {"blank": BASES[0]["blank"] | CUT, "plies": [{}, {"blank": BASES[0]["blank"] | CUT}]}
 SCENES = [*BASES, *BUILT_IN]
-SCENES += [BASES[0] | more for more in (HELD, NOTCHED, PRESSED, SLIT)]
+SCENES += [BASES[0] | more for more in (HELD, HELD_PLIES, NOTCHED, PRESSED, SLIT)]
 JSON_SCHEMA = jsonschema.Draft202012Validator(json_schema())
 
 
@@ -505,6 +506,7 @@ offset = [5.0, -3.0]
 joined = true
 """
 STACKS = [BASES[0] | tomllib.loads(PLIES), BASES[0] | {"plies": [{}, {"joined": True}]}]
+STACKS.append(BASES[0] | HELD_PLIES)
 
 
 @st.composite

@@ -468,9 +468,6 @@ def test_what_is_not_possible_with_plies():
         stacked([0, 45], law=slipping)
     with pytest.raises(qf.InputError, match="mesh = 'fibre'"):
         stacked([0, 45], overrides={"mesh": "free"})
-    support = {"supports": [{"side": "+x", "fix": "z"}]}
-    with pytest.raises(qf.InputError, match=r"\[\[supports\]\]"):
-        stacked([0, 45], overrides=support)
 
 
 def test_plies_of_like_directions_need_twice_the_force_of_one():
@@ -651,6 +648,21 @@ def test_exact_net_has_the_shear_angle_of_the_theory():
     gamma = np.arcsin((u * v).sum(2))
     middle = theory.hemisphere_net(a[:-1, None] + 0.125, b[None, :-1] + 0.125, R)
     assert_allclose(gamma, middle, atol=2e-3)
+
+
+@pytest.mark.parametrize("turn", [0.0, 30.0, 45.0])
+def test_a_ply_without_friction_is_kept_from_turning_by_a_node_near_the_x_axis(turn):
+    law = replace(qf.Fabric.preset("locking"), friction=0.0)
+    plies = [0, {"orientation": turn, "friction": 0.0}, {"orientation": 20.0, "friction": 0.0}]
+    model = qf.forming("hemisphere", law=law, size=10.0, plies=plies)
+    sheet = model.sheets[1]
+    kept = model.fixed[sheet.dofs]
+    (middle,), (far,) = (np.flatnonzero(kept.sum(1) == n) for n in (2, 1))
+    assert_allclose(sheet.blank.nodes[middle], 0.0, atol=1e-9)
+    x, y = np.abs(sheet.blank.nodes[far])
+    assert kept[far].tolist() == [False, True, False]
+    assert x > 30.0
+    assert y < 0.05 * x
 
 
 def test_outlines_that_overlap_in_part_have_contact_where_they_do():

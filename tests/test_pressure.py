@@ -10,7 +10,7 @@ from numpy.testing import assert_array_equal
 import quasiform as qf
 from quasiform.draw.plot import words_of
 from quasiform.energy.contact import Contact
-from quasiform.energy.plies import folds_on_itself
+from quasiform.energy.plies import PlyContact, folds_on_itself
 from quasiform.handover.deck import abaqus_deck
 from quasiform.result.assumed import assumed
 from quasiform.result.sheet import read_sheets
@@ -257,6 +257,47 @@ def test_strokes_that_are_refused(tmp_path, tool, words):
     radius = "" if "radius" in tool else "radius = 75.0\n"
     with pytest.raises(qf.InputError, match=words):
         scene(tmp_path, f"{head}{radius}{tool}\n", size=25.0)
+
+
+# Plies
+
+LYING = """
+travel = 2.0
+pressure = 0.02
+[blank]
+shape = "rectangle"
+length = 100.0
+width = 80.0
+[tools.die]
+shape = "plane"
+[[plies]]
+[[plies]]
+orientation = 30.0
+"""
+
+
+def test_a_pressure_on_a_stack_acts_on_its_first_ply(tmp_path):
+    """Each ply hands it on: to the next one, and to the die."""
+    model = scene(tmp_path, LYING, size=10.0)
+    result = qf.solve(model, estimate=False)
+    assert result.certified.converged
+    x, force = result.states[-1].x, 0.02 * 100.0 * 80.0
+    between = 0.0
+    for term, state in zip(model.terms, result.memory, strict=True):
+        if isinstance(term, PlyContact):
+            between -= term.side * term.gradient(x, state)[:, 2].sum()
+    assert between == pytest.approx(force, rel=1e-3)
+    assert on_fixed_tools(result) == pytest.approx(force, rel=1e-3)
+    (pressure,) = model.pressures
+    assert pressure.sheet.name == "ply 1"
+    assert not any("no pressure" in what for what, _ in model.description)
+
+
+def test_a_ply_that_the_first_one_leaves_uncovered_is_named(tmp_path):
+    small = "[[plies]]\n[plies.blank]\nshape = 'disc'\nradius = 30.0\n[[plies]]"
+    model = scene(tmp_path, LYING.replace("[[plies]]", small, 1), size=7.0)
+    words = dict(model.description)["no pressure on what the ply 1 leaves uncovered"]
+    assert words == "ply 2, ply 3"
 
 
 # Diaphragms

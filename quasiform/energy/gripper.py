@@ -1,7 +1,7 @@
 """Grippers: E = Σ s_i [K/2 (e·u_i)² - T e·u_i] with the motion u of the gripped nodes.
 
 A gripper pulls with the tension T along the direction e, and yields with the stiffness K; s_i are
-the nodes' shares of the gripped edge, which sum to 1.
+the nodes' shares of the gripped edge, which sum to 1 over all sheets that the gripper holds.
 """
 
 from __future__ import annotations
@@ -13,7 +13,11 @@ from .term import Term
 
 
 class Grip(Term):
-    """A gripper on nodes (m,) of a sheet in space, with T in N when they are at `start` (m, 3)."""
+    """A gripper on nodes (m,) of a sheet in space, with T in N when they are at `start` (m, 3).
+
+    T and K, N/mm, are those of the whole gripper: where it holds several sheets, the `shares` (m,)
+    of one of them sum to less than 1.
+    """
 
     name = "gripper"
     quadratic = load = True
@@ -28,7 +32,7 @@ class Grip(Term):
         tension: float,
         stiffness: float,
     ) -> None:
-        self.dofs = sheet.dofs[nodes]
+        self.sheet, self.dofs = sheet, sheet.dofs[nodes]
         self.start, self.direction = start, direction
         self.tension, self.stiffness = shares * tension, shares * stiffness
 

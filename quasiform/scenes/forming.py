@@ -45,7 +45,7 @@ from .room import check_clearance, mirror_planes, smallest_radius, what_resolves
 from .scene_file import SceneFile, SurfaceFile, ToolPart, check_increments
 from .slipping import let_slip
 from .stack import Layer
-from .supports import fix_supports, grips, keep_middle
+from .supports import fix_supports, grips, keep_middles
 
 LEAST = 0.5  # of the default size: how fine it may be for the sake of a fillet
 FINE = 0.4  # of the smallest fillet: the mesh of the path
@@ -329,13 +329,14 @@ def _assemble(model: Model, file: SceneFile, tools: list[Tool], layers: Sequence
             read = model.tools[1].get(contact.tool.name)
             why = read.why_inside() if read else "check its z"
             raise InputError(f"the flat blank starts inside the {contact.tool.name}: {why}")
-    outline, bent = layers[0].outline, list[Term]()
+    supported, bent = fix_supports(model, file, layers), list[Term]()
     for sheet in model.sheets:
         blank = sheet.blank
         for axis, plane in enumerate("xy"):
             if plane in blank.mirror:
                 model.fixed[sheet.dofs[:, axis]] |= np.abs(blank.nodes[:, axis]) < 1e-9
-        clamped = fix_supports(model, file, outline)
+        clamped = supported.get(sheet.name)
+        clamped = None if clamped is None or not clamped.any() else clamped
         if blank.pairs is not None:
             model.description.append(PAIRED)
             if clamped is not None:
@@ -344,19 +345,18 @@ def _assemble(model: Model, file: SceneFile, tools: list[Tool], layers: Sequence
         bent += bending_terms(bending)
     contacts += _between_nodes(model, contacts)
     between = stack.between_plies(model, layers) if len(layers) > 1 else []
+    pulls = grips(model, file, layers)
     model.sheets.sort(key=lambda sheet: sheet.name == DIAPHRAGM)  # results are those of the plies
     frictions = [Friction(c) for c in contacts if c.tool.friction]
     if not frictions:
         model.description.append(("friction left out", "its coefficient is zero"))
-        for sheet in model.sheets:
-            keep_middle(model, sheet, file)
-    weights += [*_sheet_weights(model, file, layers), *pressure_on_sheet(model, file)]
+        keep_middles(model, {*supported, *(pull.sheet.name for pull in pulls)}, between)
+    weights += [*_sheet_weights(model, file, layers), *pressure_on_sheet(model, file, layers)]
     model.resting += sum(g.tension for g in file.grippers)
     model.resting += sum(
         file.gravity * 1e-6 * GRAVITY * sheet.fabric.areal_weight * sheet.blank.areas.sum()
         for sheet in model.sheets
     )
-    pulls = grips(model, file, outline)
     if softened := [term for term in bent if isinstance(term, Softening)]:
         model.description.append((softened[0].name, "moment_warp or moment_weft of the fabric"))
     membranes = membranes_of(model, file)

@@ -14,6 +14,7 @@ from ..energy.weight import ToolForce
 from ..model import DIAPHRAGM, Model
 from ..tools.shapes import Tool
 from .scene_file import SceneFile
+from .stack import Layer, seen
 
 FORCE, PRESSURE = "force on the ", "pressure"
 FIRST = 1 / 16  # of the largest increment
@@ -50,7 +51,7 @@ def over_travel(rows: np.ndarray, unit: str) -> str:
     return ", ".join(f"{value:g} {unit} at {travel:g} mm" for travel, value in rows)
 
 
-def pressure_on_sheet(model: Model, file: SceneFile) -> list[Term]:
+def pressure_on_sheet(model: Model, file: SceneFile, layers: Sequence[Layer]) -> list[Term]:
     """Prescribe the pressure of a scene and return its energies; none without a pressure."""
     if file.pressure is None:
         return []
@@ -65,6 +66,10 @@ def pressure_on_sheet(model: Model, file: SceneFile) -> list[Term]:
     shown = over_travel(file.pressures, "MPa")
     face = "lower" if up else "upper"
     model.description.append((f"pressure on the {face} face of the {sheet.name}", shown))
+    (cover,) = (layer for layer in layers if layer.name == sheet.name)
+    if bare := [layer.name for layer in layers if layer is not cover and seen(layer, [cover])]:
+        entry = f"no pressure on what the {sheet.name} leaves uncovered"
+        model.description.append((entry, ", ".join(bare)))
     model.measures["pressure_MPa"] = lambda x: float(x[dof])
     model.measures[PRESSURE_FORCE] = partial(along_z, model.share, term, edge)
     return [term] if model.fixed[edge.dofs].all() else [term, edge]

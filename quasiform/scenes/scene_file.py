@@ -349,11 +349,27 @@ def _part(table: _Tool) -> ToolPart:
 # Edges that are fixed or pulled
 
 
+def _ply_numbers(value: Any) -> tuple[int, ...]:
+    good = isinstance(value, list | tuple) and all(type(k) is int and k > 0 for k in value)
+    if not good or not value:
+        raise InputError(f"= {value!r}: expected numbers of plies from 1 on, such as [1, 2]")
+    return tuple(value)
+
+
+NUMBERS = {
+    "type": "array",
+    "items": {"type": "integer", "minimum": 1},
+    "minItems": 1,
+    "description": "Numbers of plies; all that lie there if left out",
+}
+
+
 class _Place(Table):
     side: _word("Side of the blank", *OUTWARDS) = OPEN
     box: vector("x0, y0, x1, y1, mm", 4) = OPEN
     centre: POINT = OPEN
     radius: number("Radius", "mm") = OPEN
+    plies: checked(_ply_numbers, **NUMBERS) = OPEN
 
 
 LETTERS = {"type": "string", "pattern": "^[xyz]+$", "description": "Directions that are fixed"}
@@ -384,7 +400,7 @@ def _support(table: _Support) -> Support:
     fix = "xyz" if table.clamp and "fix" not in table.model_fields_set else table.fix
     if not isinstance(fix, str) or not fix or set(fix) - set("xyz"):
         raise InputError(f"fix = {fix!r}: expected some of the letters xyz")
-    return Support(_where(table), fix, table.clamp)
+    return Support(_where(table), fix, table.clamp, table.plies)
 
 
 def _gripper(table: _Gripper) -> Gripper:
@@ -397,7 +413,7 @@ def _gripper(table: _Gripper) -> Gripper:
     length = float(np.linalg.norm(direction)) if direction else 1.0
     if abs(length - 1) > 1e-12:  # else it is the same when it is read again
         direction = (direction[0] / length, direction[1] / length)
-    return Gripper(where, direction, table.tension, table.stiffness)
+    return Gripper(where, direction, table.tension, table.stiffness, table.plies)
 
 
 # The whole

@@ -138,6 +138,17 @@ class Where:
             return np.abs(points[:, axis] - edge) < 1e-6 * (bounds[2] - bounds[0])
         return np.linalg.norm(points - self.centre, axis=1) <= self.radius * (1 + 1e-9)
 
+    def measure(self, outline: shapely.Polygon, bounds: tuple[float, ...]) -> float:
+        """Length of an outline at a side of the blank, mm, or area of it in a box or disc, mm²."""
+        if not self.side:
+            disc = shapely.Point(self.centre).buffer(self.radius)
+            return (shapely.box(*self.box) if self.box else disc).intersection(outline).area
+        low, high = np.reshape(bounds, (2, 2))
+        axis, near = "xy".index(self.side[1]), 1e-6 * (high[0] - low[0])
+        edge = (high if self.side[0] == "+" else low)[axis]
+        low[axis], high[axis] = edge - near, edge + near
+        return outline.boundary.intersection(shapely.box(*low, *high)).length
+
 
 @dataclass(frozen=True)
 class Support:
@@ -146,19 +157,22 @@ class Support:
     where: Where
     fix: str
     clamp: bool = False
+    plies: tuple[int, ...] | None = None  # their numbers, from 1 on; None: all that lie there
 
 
 @dataclass(frozen=True)
 class Gripper:
     """A pull of `tension` N along `direction`, less `stiffness` N/mm times the motion.
 
-    Without a direction it pulls away from the nearest side of the blank.
+    Without a direction it pulls away from the nearest side of the blank. Both numbers are those of
+    the whole gripper, however many plies it holds.
     """
 
     where: Where
     direction: Point | None = None
     tension: float = 0.0
     stiffness: float = 0.0
+    plies: tuple[int, ...] | None = None  # their numbers, from 1 on; None: all that lie there
 
 
 @dataclass(frozen=True)

@@ -94,9 +94,6 @@ def _check_possible(file: SceneFile) -> None:
             raise InputError(f"[plies {i}] joined plies have no stitches of their own")
     if isinstance(file.mesh, Path) or file.mesh != "fibre":
         raise InputError("[[plies]] need mesh = 'fibre'")
-    if file.supports or file.grippers:
-        key = "supports" if file.supports else "grippers"
-        raise InputError(f"[[{key}]] are not possible together with [[plies]]")
 
 
 def _joined(above: Layer, layer: Layer) -> Layer:
@@ -137,7 +134,7 @@ def _overlap(a: shapely.Polygon, b: shapely.Polygon) -> bool:
     return a.intersection(b).area > EPS * min(a.area, b.area)
 
 
-def _seen(layer: Layer, over: Sequence[Layer]) -> bool:
+def seen(layer: Layer, over: Sequence[Layer]) -> bool:
     """Whether a part of a layer is not covered by the others."""
     free = layer.outline.difference(shapely.union_all([other.outline for other in over]))
     return free.area > EPS * layer.outline.area
@@ -165,7 +162,7 @@ def meets(layers: Sequence[Layer], k: int, role: str) -> bool:
     Plies at an angle to each other draw in differently, and their rims come free.
     """
     between = layers[:k] if role != "die" else layers[k + 1 :]
-    return _seen(layers[k], between) or _at_an_angle([layers[k], *between])
+    return seen(layers[k], between) or _at_an_angle([layers[k], *between])
 
 
 def between_plies(model: Model, layers: Sequence[Layer]) -> list[Term]:
@@ -178,7 +175,7 @@ def between_plies(model: Model, layers: Sequence[Layer]) -> list[Term]:
             both = layers[i].outline.intersection(layers[k].outline)
             if both.area <= EPS * layers[k].outline.area or (
                 k > i + 1
-                and not _seen(replace(layers[i], outline=both), layers[i + 1 : k])
+                and not seen(replace(layers[i], outline=both), layers[i + 1 : k])
                 and not _at_an_angle(layers[i : k + 1])
             ):
                 left_out.append(f"{layers[i].name} with {layers[k].name}")
