@@ -130,7 +130,7 @@ def sheet_figure(run: Record) -> Figure:
         if rings:
             title = "tools" + ", and mean |γ| in the ringed areas" * bool(run.summary.get("areas"))
             key.legend(handles=rings, loc="upper center", ncols=3, title=title, **RING_LEGEND)
-        place = {"cax": key.inset_axes([0.02, 0.28, 0.96, 0.12]), "orientation": "horizontal"}
+        place = {"cax": key.inset_axes([0.02, 0.11, 0.96, 0.12]), "orientation": "horizontal"}
     _draw_force_panel(panels["force"], run)
     mark_locking(draw_colour_bar(figure, colours, **place), [run], colours.norm.vmax)
     figure.suptitle(_title(run), parse_math=False)
