@@ -141,7 +141,8 @@ def seen(layer: Layer, over: Sequence[Layer]) -> bool:
 
 
 def _at_an_angle(layers: Sequence[Layer]) -> bool:
-    return len({round(layer.orientation % 90.0, 6) for layer in layers}) > 1
+    # round-off below a right angle is none
+    return len({round(layer.orientation % 90.0, 6) % 90.0 for layer in layers}) > 1
 
 
 def heights(layers: Sequence[Layer]) -> list[float]:
