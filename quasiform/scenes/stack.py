@@ -228,7 +228,7 @@ def described(layers: Sequence[Layer]) -> list[tuple[str, str]]:
         words.append(f"{numbers}{joint} at {layer.orientation:g}°, {layer.fabric.name}")
     lines = [("plies from the punch down", "; ".join(words))]
     if _at_an_angle(layers):
-        why = "warp and weft of the plies do not run alike: several times slower, and it may stop early"
+        why = "warp and weft of the plies do not run alike: several times slower, may stop early"
         lines.append(("plies at an angle to each other", why))
     return lines
 
