@@ -27,6 +27,7 @@ from quasiform.result.record import Record
 from quasiform.result.sheet import FormedSheet
 from quasiform.scenes.fabric_tests import hanging_strip
 from quasiform.scenes.stack import joined
+from quasiform.solve.tangent import Tangent
 from quasiform.tools.shapes import Plane, flipped
 from quasiform.unknowns import Unknowns
 
@@ -442,6 +443,24 @@ def test_a_ply_that_is_not_covered_meets_the_punch_too():
     small = {"blank": {"shape": "disc", "radius": 120.0}}
     model = stacked([small, 45], size=25.0)
     assert {c.sheet.name for c in model.contacts if c.tool.name == "punch"} == {"ply 1", "ply 2"}
+
+
+def test_a_pass_of_a_stack_is_at_most_five_steps_of_newtons_method(monkeypatch):
+    """Farther on its pairs are those of another place."""
+    passes, restart, step = [], Tangent.restart, Tangent.step
+
+    def begun(tangent):
+        passes.append(0)
+        restart(tangent)
+
+    def stepped(tangent, *given):
+        passes[-1] += 1
+        return step(tangent, *given)
+
+    monkeypatch.setattr(Tangent, "restart", begun)
+    monkeypatch.setattr(Tangent, "step", stepped)
+    assert qf.solve(stacked([0, 45], size=31.0, travel=5.0), estimate=False).status == "completed"
+    assert max(passes) == 5
 
 
 def test_a_coefficient_between_plies_that_is_not_given_is_assumed():
