@@ -206,6 +206,8 @@ def test_without_friction_only_a_ply_that_nothing_holds_keeps_its_middle():
 
     assert kept([0, SMOOTH, SMOOTH]) == ["middle of the ply 2", "middle of the ply 3"]
     assert kept([0, 0, SMOOTH]) == ["middle of the ply 3"]  # ply 2 rubs on ply 1
+    assert kept([0, 0, 0]) == []  # ply 3 rubs on ply 2
+    assert kept([0, SMOOTH, 0]) == ["middle of the ply 2", "middle of the ply 3"]
 
 
 def test_mirror_planes_are_sought_without_edges_that_are_held():

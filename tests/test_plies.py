@@ -27,6 +27,7 @@ from quasiform.result.record import Record
 from quasiform.result.sheet import FormedSheet
 from quasiform.scenes.fabric_tests import hanging_strip
 from quasiform.scenes.stack import joined
+from quasiform.solve.tangent import Tangent
 from quasiform.tools.shapes import Plane, flipped
 from quasiform.unknowns import Unknowns
 
@@ -404,6 +405,23 @@ def test_plies_are_soft_at_first_and_then_as_stiff_as_on_a_tool():
     assert_allclose(contact.pressure(p), exact, rtol=1e-9)
 
 
+def test_the_stiffness_bound_is_that_of_pressed_plies():
+    """By D - K, which is not negative for the diagonal D; K reaches it if all moves along n."""
+    (above, below), x = on_a_dome()
+    contact, x = PlyContact(above, below, True), x.copy()
+    x[above.dofs[:, 2]] -= 0.5 * T0
+    K = contact.hessian(x, contact.initial(x), True)
+    D = contact.stiffness_bound(x)
+    least = np.linalg.eigvalsh(D[:, :, None] * np.eye(12) - K)[:, 0] / D.max(1)
+    assert least.min() == pytest.approx(0.0, abs=1e-9)
+
+
+def test_round_off_in_an_orientation_is_no_angle():
+    for angle, at_an_angle in ((-1e-12, False), (90.0 - 1e-9, False), (89.0, True)):
+        words = dict(stacked([0, angle], size=31.0).description)
+        assert ("plies at an angle to each other" in words) == at_an_angle
+
+
 def test_the_certificate_judges_the_depth_beyond_the_soft_one():
     (above, below), x = on_a_dome(size=4.0)
     contacts = PlyContact(above, below, True), PlyContact(below, above, False)
@@ -425,6 +443,24 @@ def test_a_ply_that_is_not_covered_meets_the_punch_too():
     small = {"blank": {"shape": "disc", "radius": 120.0}}
     model = stacked([small, 45], size=25.0)
     assert {c.sheet.name for c in model.contacts if c.tool.name == "punch"} == {"ply 1", "ply 2"}
+
+
+def test_a_pass_of_a_stack_is_at_most_five_steps_of_newtons_method(monkeypatch):
+    """Farther on its pairs are those of another place."""
+    passes, restart, step = [], Tangent.restart, Tangent.step
+
+    def begun(tangent):
+        passes.append(0)
+        restart(tangent)
+
+    def stepped(tangent, *given):
+        passes[-1] += 1
+        return step(tangent, *given)
+
+    monkeypatch.setattr(Tangent, "restart", begun)
+    monkeypatch.setattr(Tangent, "step", stepped)
+    assert qf.solve(stacked([0, 45], size=31.0, travel=5.0), estimate=False).status == "completed"
+    assert max(passes) == 5
 
 
 def test_a_coefficient_between_plies_that_is_not_given_is_assumed():

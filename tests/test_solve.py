@@ -4,6 +4,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
+from scipy.sparse import csr_array
 
 import quasiform as qf
 from quasiform import theory
@@ -11,6 +13,7 @@ from quasiform.energy.bending import Bending
 from quasiform.energy.membrane import Membrane
 from quasiform.solve import newton, tangent
 from quasiform.solve.equilibrium import Equilibrium
+from quasiform.solve.linear import SingularMatrixError
 from quasiform.unknowns import Unknowns
 
 
@@ -67,6 +70,85 @@ def test_a_factor_serves_the_steps_after_it(monkeypatch):
     assert reused.linear_solves < 0.7 * each.linear_solves
     assert reused.states[-1].force == pytest.approx(each.states[-1].force, rel=2e-4)
     assert np.abs(reused.states[-1].x - each.states[-1].x).max() < 0.01
+
+
+class Quadratic:
+    """A potential with a given Hessian K (3, 3), whose convex one is of absolute values."""
+
+    def __init__(self, *diagonal):
+        self.K, self.at = np.diag(diagonal), np.diag_indices(3)
+
+    @property
+    def pattern(self):
+        return csr_array((np.ones(len(self.at[0])), self.at), shape=(3, 3))
+
+    def hessian(self, x, memory, convex, stress=None):
+        return np.abs(self.K[self.at]) if convex else self.K[self.at], None
+
+    def follow(self, memory):
+        return True
+
+
+@pytest.fixture
+def quadratic(monkeypatch):
+    """A potential, a tangent of it that keeps factors, and its step."""
+    monkeypatch.setattr(tangent, "FEW", 0)
+    potential = Quadratic(1.0, 2.0, 4.0)
+    places = np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]])
+    kept = tangent.Tangent(potential, places, "superlu", "on demand")
+    return potential, kept, lambda: kept.step(np.zeros(3), (), np.array([1.0, -2.0, 3.0]))
+
+
+def test_a_factor_that_is_near_enough_is_kept(quadratic):
+    potential, kept, step = quadratic
+    assert_allclose(step(), [-1.0, 1.0, -0.75])
+    kept.restart()
+    potential.K = np.diag([1.2, 2.2, 4.1])
+    d = step()
+    assert kept.factorisations == 1
+    # to a tenth, by the norm of the tangent
+    error = d - np.array([-1.0, 2.0, -3.0]) / np.diag(potential.K)
+    assert 0.0 < error @ (np.diag(potential.K) * error) < 0.1**2 * 4.5
+
+
+def test_a_factor_that_is_not_positive_definite_is_not_kept(quadratic):
+    potential, kept, step = quadratic
+    potential.K = np.diag([1.0, -2.0, 4.0])
+    assert kept.factor(np.zeros(3), (), False)[0] == 1
+    potential.K = np.diag([1.0, 2.0, 4.0])
+    kept.forget()
+    assert_allclose(step(), [-1.0, 1.0, -0.75])
+    assert kept.factorisations == 2
+
+
+def test_a_factor_is_not_kept_after_one_that_has_failed(quadratic):
+    potential, kept, step = quadratic
+    step()
+    potential.K = np.diag([1.0, 0.0, 4.0])
+    with pytest.raises(SingularMatrixError):
+        kept.factor(np.ones(3), (), False)
+    potential.K = np.diag([1.0, 2.0, 4.0])
+    step()
+    assert kept.factorisations == 3
+
+
+def test_a_pattern_that_has_grown_needs_another_factor(quadratic):
+    potential, kept, step = quadratic
+    step()
+    potential.K, potential.at = potential.K + np.diag([0.5, 0.5], 1), np.triu_indices(3)
+    kept.follow(())
+    assert_allclose((potential.K + np.diag([0.5, 0.5], -1)) @ step(), [-1.0, 2.0, -3.0])
+    assert kept.factorisations == 2
+
+
+def test_negative_curvature_in_the_first_direction_asks_for_another_factor(quadratic):
+    """Then the exact tangent is tried, and the convex one serves there."""
+    potential, kept, step = quadratic
+    step()
+    potential.K = np.diag([1.0, -2.0, -4.0])
+    kept.restart()
+    assert_allclose(step(), [-1.0, 1.0, -0.75])
+    assert dict(kept.counts) == {"check": 2, "check, convex": 1}
 
 
 def test_newtons_method_ends_after_the_steps_asked_for():

@@ -252,7 +252,8 @@ class PlyContact(AtPairs):
         """(m, 12) shares of the row sums of the stiffness if every node touched, N/mm."""
         weights = np.abs(self.pairs(x).weights)
         shares = np.repeat(np.column_stack([np.ones(len(weights)), weights]), 3, axis=1)
-        return (self.area * self.compaction * shares.sum(1))[:, None] / 3 * shares
+        stiffness = (1.0 + SOFT) * self.compaction * self.area
+        return (stiffness * shares.sum(1))[:, None] / 3 * shares
 
 
 @dataclass(frozen=True, eq=False)

@@ -141,7 +141,8 @@ def seen(layer: Layer, over: Sequence[Layer]) -> bool:
 
 
 def _at_an_angle(layers: Sequence[Layer]) -> bool:
-    return len({round(layer.orientation % 90.0, 6) for layer in layers}) > 1
+    # round-off below a right angle is none
+    return len({round(layer.orientation % 90.0, 6) % 90.0 for layer in layers}) > 1
 
 
 def heights(layers: Sequence[Layer]) -> list[float]:
@@ -227,7 +228,7 @@ def described(layers: Sequence[Layer]) -> list[tuple[str, str]]:
         words.append(f"{numbers}{joint} at {layer.orientation:g}°, {layer.fabric.name}")
     lines = [("plies from the punch down", "; ".join(words))]
     if _at_an_angle(layers):
-        why = "warp and weft of the plies do not run alike: several times slower, and it may stop early"
+        why = "warp and weft of the plies do not run alike: several times slower, may stop early"
         lines.append(("plies at an angle to each other", why))
     return lines
 

@@ -119,11 +119,13 @@ def _outwards(points: np.ndarray, bounds: Bounds) -> tuple[float, float] | None:
 def keep_middles(model: Model, held: set[str], between: Sequence[Term]) -> None:
     """Without friction on tools the middle of each sheet keeps its place in the plane.
 
-    But not of those that a support or a gripper holds, or that rub on others of which one is held.
+    But not of those that a support or a gripper holds, or that rub on such a one, directly or by
+    others in between.
     """
     rubbing = [term.contact for term in between if isinstance(term, PlyFriction)]
-    names = {sheet.name for contact in rubbing for sheet in (contact.sheet, contact.other)}
-    kept = held | names if held else held
+    pairs, kept = [{c.sheet.name, c.other.name} for c in rubbing], set(held)
+    while found := [pair for pair in pairs if len(pair & kept) == 1]:
+        kept.update(*found)
     for sheet in model.sheets:
         if sheet.name not in kept and len(sheet.blank.mirror) < 2:
             _keep_middle(model, sheet)

@@ -150,7 +150,8 @@ def settle(equations: Equilibrium, x: FloatArray) -> FloatArray:
     passes; on the way, the next increment may take over the last of it. Between plies contact is at
     single nodes, whose normal forces answer to friction so strongly that mixing leads astray: there
     the share of each change that is taken over follows from the last two changes (Irons and Tuck,
-    Int. J. Numer. Methods Eng. 1 (1969) 275-277).
+    Int. J. Numer. Methods Eng. 1 (1969) 275-277). There a pass ends after `STEPS_PLIES`: farther on
+    the pairs and forces that it began with are not true any more.
     """
     mixed, goal = equations.mixed, equations.goal
     stack = bool(equations.model.ply_contacts)

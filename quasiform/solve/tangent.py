@@ -23,11 +23,11 @@ from ..potential import Memory, Potential
 from ..unknowns import FloatArray
 from .linear import Pardiso, SingularMatrixError, SuperLU, linear_solver
 
-KEPT = 8  # further steps with the convex tangent before the exact one is tried again
+KEPT = 8  # further factorisations of the convex tangent before the exact one is tried again
 FORCING = 0.1  # residual of the conjugate gradients relative to the first, in their own norm
 MOST = 30  # of their iterations
-MOST_WITH_OLD = 10  # of them with the factor of an earlier step,
-FEW = 2500  # beyond so many unknowns: below, a factorisation takes no longer
+MOST_WITH_OLD = 10  # of them with the factor of an earlier step
+FEW = 2500  # unknowns up to which each step is factorised: that takes no longer
 
 
 class Tangent:
@@ -143,9 +143,9 @@ class Tangent:
     ) -> FloatArray:
         """Newton's step (n_free,) from x, against the free part g of the gradient.
 
-        The last factor serves as long as it can. Where the exact tangent is not positive definite,
-        the convex one is factorised there and in the next steps. With `convex` "never" the exact
-        one is taken whatever it is.
+        The last factor serves as long as a few iterations with it are enough. Then the exact
+        tangent is factorised or, where it is not positive definite, the convex one, there and the
+        next times. With `convex` "never" the exact one is taken whatever it is.
         """
         if self.convex == "always":
             self.factor(x, memory, True, stress=stress)
@@ -173,7 +173,7 @@ class Tangent:
         """Conjugate gradients on a tangent of these values, preconditioned by the present factor.
 
         Towards its step from the gradient g; up to the first direction of negative curvature. The
-        step, and whether it ended there or is close enough.
+        step, and whether it is of use: close enough, or ended by that direction after the first.
         """
         pattern = self.potential.pattern
         upper = csr_array((values, pattern.indices, pattern.indptr), shape=pattern.shape)
