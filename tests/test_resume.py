@@ -375,6 +375,21 @@ def test_a_result_is_kept_before_its_error_is_estimated(tmp_path, monkeypatch):
     assert not (tmp_path / "resume.npz").exists()
 
 
+def test_an_interrupt_while_the_start_is_recorded_is_said_in_the_result(tmp_path, monkeypatch):
+    record = Journal.record
+
+    def interrupted(*given):
+        record(*given)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Journal, "record", interrupted)
+    result = qf.solve(forming(), out=tmp_path, estimate=False)
+    assert result.reason.startswith("interrupted at 0 of ")
+    assert readable(tmp_path)["reason"] == result.reason
+    monkeypatch.undo()
+    assert not qf.solve(forming(), out=tmp_path, resume=True, estimate=False).reason
+
+
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
 @pytest.mark.parametrize("wait", ["increment_0000.vtu", "increment_0002.vtu"])
 def test_an_interrupted_command_says_so_in_a_line_and_keeps_its_increments(tmp_path, name, wait):

@@ -93,7 +93,13 @@ def follow(
     def record() -> str:
         return journal.record(run, steps.next, time.perf_counter() - clock) if journal else ""
 
-    reason = run.account.ended or record()
+    try:
+        with interruptible():
+            reason = run.account.ended or record()
+    except KeyboardInterrupt:
+        if not partial:
+            raise
+        reason = f"interrupted at {run.travel:.4g} of {model.travel:.4g}"
     while not reason and run.travel < model.travel * (1 - 1e-12):
         s = run.travel
         try:
