@@ -261,8 +261,7 @@ def test_strokes_that_are_refused(tmp_path, tool, words):
 
 # Plies
 
-LYING = """
-travel = 2.0
+ON_A_PLATE = """
 pressure = 0.02
 [blank]
 shape = "rectangle"
@@ -270,7 +269,10 @@ length = 100.0
 width = 80.0
 [tools.die]
 shape = "plane"
-[[plies]]
+"""
+LYING = f"""
+travel = 2.0
+{ON_A_PLATE}[[plies]]
 [[plies]]
 orientation = 30.0
 """
@@ -302,16 +304,9 @@ def test_a_ply_that_the_first_one_leaves_uncovered_is_named(tmp_path):
 
 # Diaphragms
 
-PRESSED = """
+PRESSED = f"""
 travel = 10.0
-pressure = 0.02
-[blank]
-shape = "rectangle"
-length = 100.0
-width = 80.0
-[tools.die]
-shape = "plane"
-[diaphragm]
+{ON_A_PLATE}[diaphragm]
 modulus = 1.0
 thickness = 1.0
 prestretch = 1.02
