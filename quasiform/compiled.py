@@ -566,16 +566,19 @@ def friction(rows, points, anchor, normal, limit, stick):
 
 
 @_compile
-def longest_slide(points, anchor, normal):
-    """Longest way of points (m, 3) from their anchors across the normals, of those with anchors."""
-    longest = 0.0
+def mean_slide(points, anchor, normal, area):
+    """Mean way of points (m, 3) from their anchors across the normals, of those with anchors."""
+    total = slid = 0.0
     for i in range(len(points)):
         a0, a1 = points[i, 0] - anchor[i, 0], points[i, 1] - anchor[i, 1]
         a2 = points[i, 2] - anchor[i, 2]
         along = a0 * normal[i, 0] + a1 * normal[i, 1] + a2 * normal[i, 2]
         s0, s1, s2 = a0 - along * normal[i, 0], a1 - along * normal[i, 1], a2 - along * normal[i, 2]
-        longest = max(longest, s0 * s0 + s1 * s1 + s2 * s2)
-    return np.sqrt(longest)
+        way = np.sqrt(s0 * s0 + s1 * s1 + s2 * s2)
+        if not np.isnan(way):
+            total += area[i]
+            slid += area[i] * way
+    return slid / total if total else 0.0
 
 
 # Tools

@@ -1,5 +1,7 @@
 """Scenes built by hand, against closed forms: a strip over a drum, and one between plates."""
 
+from contextlib import nullcontext
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,8 @@ from quasiform.energy.bending import Bending
 from quasiform.energy.contact import BLEND, Contact
 from quasiform.energy.membrane import Membrane
 from quasiform.energy.weight import ToolWeight
+from quasiform.solve.equilibrium import Equilibrium
+from quasiform.solve.linear import SlidesOffError
 from quasiform.tools.shapes import Plane, flipped
 from quasiform.unknowns import Unknowns
 from validation.friction_exact.case import LOAD, capstan, creep, incline, strip
@@ -51,6 +55,18 @@ def test_a_sheet_beyond_the_friction_angle_slides_off(share):
     assert result.reason.endswith("slides off: friction cannot hold it")
     assert result.states[-1].travel < 0.05
     assert creep(result) < 1e-3  # nothing was accepted that slides
+
+
+def test_a_point_that_jumps_is_no_sheet_that_slides_off():
+    equations = Equilibrium(incline(0.999))
+    model, x = equations.model, equations.model.x0
+    equations.begin(x, 1e-6)
+    nodes = model.sheet.dofs[:, 0]
+    for moved, slides in ((nodes[:1], False), (nodes, True)):
+        far = x.copy()
+        far[moved] += 10.0 * equations.mesh_size
+        with pytest.raises(SlidesOffError) if slides else nullcontext():
+            equations.check_slide(far)
 
 
 @pytest.mark.parametrize("place", [(0.0, 0.0), (8.0, 0.0), (0.0, -3.0), (-5.0, 2.0)])

@@ -151,12 +151,13 @@ class Friction(AtPoints):
         return Rubbing(points, p, anchor, anchor, self.contact.normal(new.x), limit)
 
     def slide(self, x: FloatArray, state: Rubbing) -> float:
-        """Longest way of a point along the tool from its anchor, mm."""
-        points = self.relative(x, state)
+        """Mean way of the points along the tool from their anchors, mm, by their areas."""
+        points, area = self.relative(x, state), self.contact.area
         if self.kernels:
-            return self.kernels.longest_slide(points, state.anchor, state.normal)
+            return self.kernels.mean_slide(points, state.anchor, state.normal, area)
         rows = np.flatnonzero(~np.isnan(state.anchor[:, 0]))
-        return float(self._slide(points, state, rows)[1].max(initial=0.0))
+        total, slid = area[rows].sum(), area[rows] @ self._slide(points, state, rows)[1]
+        return float(slid / total) if total else 0.0
 
     def stuck(self, state: Rubbing) -> Rubbing:
         """State in which no point that touches can slip."""

@@ -116,10 +116,11 @@ class Equilibrium:
         self.driven = np.inf if self.model.pressed(travel) else float(motion)
 
     def check_slide(self, x: FloatArray) -> None:
-        """Raise SlidesOffError where a point has slid along a tool farther than the motion drives.
+        """Raise SlidesOffError where a sheet has slid along a tool farther than the motion drives.
 
-        A mesh size is allowed beyond that. A sheet that is clamped on one side and drawn over a
-        punch slides along it by up to three times the punch's motion.
+        By the mean of what touches: single points may jump by more. A mesh size is allowed beyond
+        that motion. A sheet that is clamped on one side and drawn over a punch slides along it by
+        up to three times the punch's motion.
         """
         most = self.mesh_size + DRAWN * self.driven
         for term, state in zip(self.model.terms, self.memory, strict=False):

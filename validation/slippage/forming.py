@@ -20,13 +20,13 @@ from validation.slippage.case import MD600
 
 TABLE = Path(__file__).parent / "forming.csv"
 SCENES = [f"{part}-{angle}" for part in ("hemisphere", "tetrahedron", "box") for angle in (0, 45)]
-LIMIT = 60.0  # s of processor time
+LIMIT = 900.0  # s of processor time
 
 
 def row(scene: str, slip: qf.Slip | None) -> dict[str, object]:
-    """Figures of one run with the best-fit law."""
+    """Figures of one run, with the law that the paper takes for forming."""
     part, angle = scene.split("-")
-    fabric = replace(qf.Fabric.preset("best-fit"), slip=slip)
+    fabric = replace(qf.Fabric.preset("locking"), slip=slip)
     model, start = qf.forming(part, float(angle), fabric), time.process_time()
     signal.signal(signal.SIGPROF, signal.default_int_handler)
     signal.setitimer(signal.ITIMER_PROF, LIMIT)
