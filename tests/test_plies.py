@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.integrate import solve_ivp
+from scipy.interpolate import RegularGridInterpolator
 
 import quasiform as qf
 from quasiform import theory
@@ -684,6 +685,39 @@ def test_exact_net_has_the_shear_angle_of_the_theory():
     gamma = np.arcsin((u * v).sum(2))
     middle = theory.hemisphere_net(a[:-1, None] + 0.125, b[None, :-1] + 0.125, R)
     assert_allclose(gamma, middle, atol=2e-3)
+
+
+def exact_places(blank, points, radius, lines):
+    """(n, 3) places of flat points of a blank in the exact net on a sphere; nan beyond `lines`."""
+    net = RegularGridInterpolator(
+        (lines, lines), exact_net(radius, lines, lines), "cubic", bounds_error=False
+    )
+    fibres = np.column_stack([blank.warp, blank.weft])
+    along = points @ fibres
+    x = net(np.abs(along))
+    x[:, :2] = (np.where(along < 0, -1.0, 1.0) * x[:, :2]) @ fibres.T
+    return x
+
+
+def test_plies_without_friction_slide_by_the_difference_of_their_exact_nets():
+    """Each net is the exact one on the sphere of its own mean surface."""
+    law = replace(qf.Fabric.preset("locking"), friction=0.0)
+    plies = [0, {"orientation": 45.0, "friction": 0.0}]
+    model = qf.forming("hemisphere", law=law, size=10.0, travel=30.0, plies=plies)
+    result = qf.solve(model, estimate=False)
+    assert result.status == "completed"
+    (pair, x), t = (model.ply_pairs[0][0], result.states[-1].x), law.thickness
+    radii, lines = (75.0 + 0.5 * t, 75.0 + 1.5 * t), np.linspace(0.0, 60.0, 13)
+    upper, lower = (
+        exact_places(sheet.blank, pair.places, R, lines) / R
+        for R, sheet in zip(radii, model.sheets, strict=True)
+    )
+    apart = lower - np.vecdot(lower, upper)[:, None] * upper
+    expected = radii[1] * np.linalg.norm(apart, axis=1)
+    on_punch = next(c for c in model.contacts if c.tool.name == "punch").penetration(x) > 0
+    assert on_punch.sum() > 30
+    assert expected[on_punch].max() > 0.7
+    assert_allclose(pair.slid(model.x0, x)[on_punch], expected[on_punch], rtol=0, atol=0.1)
 
 
 @pytest.mark.parametrize("turn", [0.0, 30.0, 45.0])
