@@ -383,7 +383,7 @@ def test_a_fold_that_touches_itself_is_found():
     assert folds_on_itself(*folded(0.4))
     assert not folds_on_itself(*folded(4.0))
     sheet, x = folded(0.4)
-    model = Mock(pressures=[None], sheets=[sheet], contacts=[])
+    model = Mock(sheets=[sheet], contacts=[])
     assert qf.Model.lost(model, x) == "the sheet folds on itself, and self-contact is not modelled"
 
 
