@@ -11,6 +11,7 @@ import quasiform as qf
 from quasiform.draw.plot import words_of
 from quasiform.energy.contact import Contact
 from quasiform.energy.plies import PlyContact, folds_on_itself
+from quasiform.energy.pressure import free_edges
 from quasiform.handover.deck import abaqus_deck
 from quasiform.result.assumed import assumed
 from quasiform.result.sheet import read_sheets
@@ -348,6 +349,22 @@ def test_a_diaphragm_bears_the_pressure_on_the_sheet_under_it(flat, tmp_path):
     volume = written.areas @ written.cell_fields["thickness"]
     assert volume == pytest.approx(160 * 140 / 1.02**2, rel=1e-6)  # it is incompressible
     assert result.history["pressure_force_N"][-1] == pytest.approx(0.02 * 160 * 140, rel=1e-3)
+
+
+def test_a_clamped_diaphragm_needs_no_middle_that_is_kept(tmp_path):
+    text = PRESSED.replace("[diaphragm]", "[diaphragm]\nfriction = 0.0")
+    text = text.replace("[tools.die]", "[tools.die]\nfriction = 0.0")
+    text = text.replace("prestretch = 1.02\n", "")
+    for clamped in (True, False):
+        words = f"[diaphragm]\nclamped = {str(clamped).lower()}"
+        path = tmp_path / "scene.toml"
+        path.write_text(text.replace("[diaphragm]", words), encoding="utf-8")
+        model = qf.forming(path, orientation=30.0, size=10.0)
+        sheet, diaphragm = model.sheets
+        assert model.fixed[sheet.dofs].sum() == 3
+        edge = free_edges(diaphragm.blank)
+        kept = model.fixed[diaphragm.dofs].sum() - clamped * 3 * len(np.unique(edge))
+        assert kept == (0 if clamped else 3)
 
 
 def test_a_diaphragm_under_the_sheet_is_pressed_up(flat, tmp_path):

@@ -350,7 +350,8 @@ def _assemble(model: Model, file: SceneFile, tools: list[Tool], layers: Sequence
     frictions = [Friction(c) for c in contacts if c.tool.friction]
     if not frictions:
         model.description.append(("friction left out", "its coefficient is zero"))
-        keep_middles(model, {*supported, *(pull.sheet.name for pull in pulls)}, between)
+        clamped = {DIAPHRAGM} if file.diaphragm and file.diaphragm.clamped else set()
+        keep_middles(model, {*supported, *(pull.sheet.name for pull in pulls), *clamped}, between)
     weights += [*_sheet_weights(model, file, layers), *pressure_on_sheet(model, file, layers)]
     model.resting += sum(g.tension for g in file.grippers)
     model.resting += sum(
