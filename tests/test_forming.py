@@ -677,6 +677,17 @@ def test_supports_fix_the_directions_that_they_name():
     assert_array_equal(fixed[:, 2], scene.sheet.blank.nodes[:, 0] >= 90.0 - 1e-6)
 
 
+@pytest.mark.parametrize(("fix", "more"), [("z", 3), ("x", 1), ("y", 1), ("xy", 0)])
+def test_without_friction_supports_leave_the_middle_what_they_do_not_hold(fix, more):
+    support = Support(Where(box=(90.0, -160.0, 160.0, 160.0)), fix)
+    scene = qf.forming(changed(supports=[support]), size=20, law=SLIPPERY)
+    fixed = scene.sheet.field.of(scene.fixed)
+    held = scene.sheet.blank.nodes[:, 0] >= 90.0 - 1e-6
+    assert all(fixed[held, "xyz".index(axis)].all() for axis in fix)
+    assert fixed[~held].sum() == more
+    assert ("middle of the sheet fixed in the plane" in words_of(scene)) == bool(more)
+
+
 # What a result tells beside the numbers
 
 

@@ -347,11 +347,11 @@ def _assemble(model: Model, file: SceneFile, tools: list[Tool], layers: Sequence
     between = stack.between_plies(model, layers) if len(layers) > 1 else []
     pulls = grips(model, file, layers)
     model.sheets.sort(key=lambda sheet: sheet.name == DIAPHRAGM)  # results are those of the plies
+    membranes = membranes_of(model, file)
     frictions = [Friction(c) for c in contacts if c.tool.friction]
     if not frictions:
         model.description.append(("friction left out", "its coefficient is zero"))
-        clamped = {DIAPHRAGM} if file.diaphragm and file.diaphragm.clamped else set()
-        keep_middles(model, {*supported, *(pull.sheet.name for pull in pulls), *clamped}, between)
+        keep_middles(model, {pull.sheet.name for pull in pulls}, between)
     weights += [*_sheet_weights(model, file, layers), *pressure_on_sheet(model, file, layers)]
     model.resting += sum(g.tension for g in file.grippers)
     model.resting += sum(
@@ -360,7 +360,6 @@ def _assemble(model: Model, file: SceneFile, tools: list[Tool], layers: Sequence
     )
     if softened := [term for term in bent if isinstance(term, Softening)]:
         model.description.append((softened[0].name, "moment_warp or moment_weft of the fabric"))
-    membranes = membranes_of(model, file)
     model.terms = [*membranes, *bent, *contacts, *frictions, *between, *weights, *pulls]
     let_slip(model)
 

@@ -116,36 +116,45 @@ def _outwards(points: np.ndarray, bounds: Bounds) -> tuple[float, float] | None:
     return OUTWARDS[side] if far[side] < NEAR * min(x1 - x0, y1 - y0) else None
 
 
-def keep_middles(model: Model, held: set[str], between: Sequence[Term]) -> None:
+def keep_middles(model: Model, gripped: set[str], between: Sequence[Term]) -> None:
     """Without friction on tools the middle of each sheet keeps its place in the plane.
 
-    But not of those that a support or a gripper holds, or that rub on such a one, directly or by
-    others in between.
+    But not of those that are held as a rigid body by supports, clamps or mirror planes, or by a
+    gripper, or that rub on such a one, directly or by others in between.
     """
     rubbing = [term.contact for term in between if isinstance(term, PlyFriction)]
-    pairs, kept = [{c.sheet.name, c.other.name} for c in rubbing], set(held)
+    pairs = [{c.sheet.name, c.other.name} for c in rubbing]
+    kept = gripped | {sheet.name for sheet in model.sheets if _held_motions(model, sheet) == 3}
     while found := [pair for pair in pairs if len(pair & kept) == 1]:
         kept.update(*found)
     for sheet in model.sheets:
-        if sheet.name not in kept and len(sheet.blank.mirror) < 2:
+        if sheet.name not in kept:
             _keep_middle(model, sheet)
 
 
+def _held_motions(model: Model, sheet: Sheet) -> int:
+    """How many of the three rigid motions of a sheet in its plane are fixed."""
+    (X, Y), fixed, one = sheet.blank.nodes.T, model.fixed[sheet.dofs], np.ones(len(sheet.dofs))
+    along = np.column_stack([one, 0.0 * one, -Y])[fixed[:, 0]]
+    across = np.column_stack([0.0 * one, one, X])[fixed[:, 1]]
+    rows = np.vstack([along, across])
+    return int(np.linalg.matrix_rank(rows / [1.0, 1.0, np.abs(sheet.blank.nodes).max()]))
+
+
 def _keep_middle(model: Model, sheet: Sheet) -> None:
-    """Keep the middle of a sheet in the plane, and a node to the side.
+    """Keep the middle of a sheet in the plane, and a node to the side, as far as they are free.
 
     That node lies on the x axis, or as near to it as the net allows: it then moves along x, however
     the fibres run, and the sheet does not turn.
     """
-    fixed, blank = model.fixed, sheet.blank
+    blank, motions = sheet.blank, _held_motions(model, sheet)
     middle = np.linalg.norm(blank.nodes, axis=1).argmin()
-    for axis, plane in enumerate("xy"):
-        if plane not in blank.mirror:
-            fixed[sheet.dofs[middle, axis]] = True
-    if not blank.mirror:
-        x, y = np.abs(blank.nodes - blank.nodes[middle]).T
-        aside = np.where((x > 3 * blank.size) & (x < 12 * blank.size), y / np.maximum(x, 1e-9), 1)
-        far = np.lexsort([x, aside.round(6)])[0]
-        fixed[sheet.dofs[far, 1]] = True
+    x, y = np.abs(blank.nodes - blank.nodes[middle]).T
+    aside = np.where((x > 3 * blank.size) & (x < 12 * blank.size), y / np.maximum(x, 1e-9), 1)
+    far = np.lexsort([x, aside.round(6)])[0]
+    for dof in (*sheet.dofs[middle, :2], sheet.dofs[far, 1]):
+        before, model.fixed[dof] = model.fixed[dof], True
+        held = _held_motions(model, sheet)
+        model.fixed[dof], motions = before or held > motions, held
     why = "no friction keeps it in place"
     model.description.append((f"middle of the {sheet.name} fixed in the plane", why))
