@@ -355,6 +355,7 @@ def stacked(plies, size=30.0, travel=2.0, **given):
 def test_identical_joined_plies_are_one_sheet_of_twice_the_membrane():
     pair = stacked([0, {"joined": True}], 25.0, 10.0)
     assert len(pair.sheets) == 1
+    assert {c.compaction for c in pair.contacts} == {2 * FABRIC.compaction}
     assert pair.share == 0.25  # mirror planes as for one sheet
     alone = qf.forming("hemisphere", size=25.0, travel=10.0, law=joined(FABRIC, 2))
     ends = [qf.solve(model, estimate=False) for model in (pair, alone)]

@@ -368,7 +368,7 @@ def _with_tools(
     model: Model, file: SceneFile, tools: list[Tool], layers: Sequence[Layer]
 ) -> list[Contact]:
     """Contact of each ply with each tool that it can touch."""
-    contacts, left_out, plies = [], [], max(1, sum(bool(layer.plies) for layer in layers))
+    contacts, left_out, plies = [], [], max(1, sum(len(layer.plies) for layer in layers))
     for part, tool in zip(file.tools, tools, strict=True):
         dofs = model.unknowns[tool.name].dofs
         for k, sheet in enumerate(model.sheets):
