@@ -694,7 +694,7 @@ def test_without_friction_supports_leave_the_middle_what_they_do_not_hold(fix, m
 def test_doubts_are_told_by_reason():
     result = formed()
     reasons = ["beyond_identified_range", "bands_may_form", "collapsed", "rovings_may_slip"]
-    reasons.append("fibres_may_buckle")
+    reasons += ["fibres_may_buckle", "narrow_bands"]
     doubts = result.sheet.doubts()
     assert list(doubts) == reasons
     assert all(
@@ -713,24 +713,25 @@ def test_doubts_are_told_by_reason():
 
 
 def test_doubts_add_up_in_one_field(monkeypatch):
-    """1, 2, 4, 8 and 16 in their order; a node is moved past its neighbours to have most of them.
+    """1, 2, 4, ... 32 in their order; a node is moved past its neighbours to have most of them.
 
-    Waves need more room than that: these two are put there by hand.
+    Waves and bands need more room than that: these three are put there by hand.
     """
     result = formed()
-    marked = np.arange(len(result.shear_angle)) % np.array([[2], [3]]) == 0
-    local = dict(zip(("bands_may_form", "fibres_may_buckle"), marked, strict=True))
+    marked = np.arange(len(result.shear_angle)) % np.array([[2], [3], [5]]) == 0
+    local = dict(zip(("bands_may_form", "fibres_may_buckle"), marked[:2], strict=True))
     monkeypatch.setattr(measures, "local_waves", lambda *_: (local, {}))
+    monkeypatch.setattr(measures, "narrow_bands", lambda *_: marked[2])
     x = result.states[0].x.copy()
     moved = np.linalg.norm(result.model.sheet.blank.nodes - 60.0, axis=1).argmin()
     x[3 * moved : 3 * moved + 2] += 20.0
     folded = replace(result, states=[*result.states[:-1], replace(result.states[-1], x=x)])
     doubts = folded.sheet.doubts()
     assert all(flag.any() and not flag.all() for flag in doubts.values())
-    for name, marks in local.items():
+    for name, marks in (*local.items(), ("narrow_bands", marked[2])):
         assert_array_equal(doubts[name], marks)
     field = folded.sheet.cell_fields["doubt"]
-    for value, flag in zip((1, 2, 4, 8, 16), doubts.values(), strict=True):
+    for value, flag in zip((1, 2, 4, 8, 16, 32), doubts.values(), strict=True):
         assert_array_equal(field.astype(int) & value > 0, flag)
 
 

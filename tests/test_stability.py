@@ -13,8 +13,10 @@ import pytest
 import quasiform as qf
 from quasiform.energy.bending import Bending
 from quasiform.energy.membrane import Membrane
+from quasiform.result import measures
 from quasiform.result.certificate import WRINKLED
 from quasiform.result.measures import waves
+from quasiform.result.stability import narrow_bands
 from quasiform.solve import run as running
 from quasiform.solve.equilibrium import Equilibrium, NotConvergedError
 from quasiform.solve.newton import predict
@@ -159,6 +161,38 @@ def test_a_sheet_that_bends_under_a_load_or_is_held_flat_has_not_wrinkled():
     flat = qf.solve(frame_in_space(5.0), estimate=False)
     assert 0 < flat.wrinkles["buckle_mm"] < 0.1  # less than a tenth of the thickness
     assert flat.certified
+
+
+@pytest.mark.parametrize("orientation", [0.0, 30.0])
+@pytest.mark.parametrize("family", ["warp", "weft"])
+@pytest.mark.parametrize(("rows", "found"), [(1, True), (2, True), (3, True), (5, False)])
+def test_a_band_that_is_narrower_than_the_mesh_shows_is_found(orientation, family, rows, found):
+    blank = qf.rectangle(100.0, 80.0, 4.0, orientation)
+    along = getattr(blank, family)
+    across = blank.centroids @ [-along[1], along[0]] / blank.size
+    inside = (across > 0.0) & (across < rows)
+    flags = narrow_bands(blank, np.where(inside, -50.0, 20.0))
+    assert flags.any() == found
+    assert not flags[~inside].any()
+
+
+def test_steps_and_smooth_peaks_of_shear_are_no_narrow_bands():
+    blank = qf.rectangle(100.0, 80.0, 4.0)
+    x = blank.centroids[:, 0]
+    for gamma in (np.where(x > 0, 45.0, 5.0), 50.0 * np.exp(-((x / 12.0) ** 2)), 0.0 * x):
+        assert not narrow_bands(blank, gamma).any()
+    assert not narrow_bands(qf.rectangle(10.0, 10.0, 5.0), np.zeros(8)).any()
+
+
+def test_a_sheet_with_narrow_bands_is_one_of_many_states(monkeypatch):
+    result = qf.solve(hemisphere(size=10.0), estimate=False)
+    assert result.one_of_many == ""
+    monkeypatch.setattr(measures, "narrow_bands", lambda blank, _: blank.centroids[:, 0] > 145.0)
+    banded = replace(result)
+    assert "sheared in bands as narrow as the mesh, one of many states" in str(banded.certified)
+    assert banded.one_of_many == "the sheet is sheared in bands as narrow as the mesh"
+    banded.spread["force_N"] = {"low": 1.0, "high": 1.0, "robust": True, "judged": True}
+    assert "bands" not in str(banded.certified)
 
 
 def test_spread_tells_what_is_robust():

@@ -75,6 +75,11 @@ DOUBTS = {  # colour, meaning and advice; later ones lie over earlier ones
         "beyond {range:g}°: not tested",
         "do not use these angles; test the fabric to larger ones",
     ),
+    "narrow_bands": (
+        "#e7298a",
+        "bands of shear as narrow as the mesh",
+        "do not use their angles and places; compare perturbed starts (--seeds)",
+    ),
     "collapsed": (
         "#b2182b",
         "collapsed: beyond 85°, or turned over",

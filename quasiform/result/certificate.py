@@ -29,7 +29,9 @@ WIDE = 0.2  # of a value: a mesh error beyond this limits the trust in it
 SMALL = {"deg": 0.1, "mm": 0.1, "N": 2e-3}  # degrees, of the thickness, of resting loads: no error
 JUDGED = 0.05, 2.0  # of a value, degrees: a larger mesh error judges no scatter
 SHARE = 0.005  # of the area: less is not reported
-WRINKLED = "wrinkled, one of many states: perturbed starts show what is robust"
+MANY = "one of many states: perturbed starts show what is robust"
+WRINKLED = f"wrinkled, {MANY}"
+BANDED = f"sheared in bands as narrow as the mesh, {MANY}"
 ROBUST = {"robust": True, "judged": True}  # a quantity without perturbed runs
 FINER = "finer than the mesh shows (wavelengths from {shown:.3g} mm on)"
 LIMITED = {
@@ -134,6 +136,7 @@ def certify(result: Outcome) -> Certificate:
             result.lower > LOWER * abs(result.energy)
         ),
         WRINKLED: not result.spread and any(map(wrinkled, result.plies)),
+        BANDED: not result.spread and any(map(banded, result.plies)),
     }
     checks = {"stopped early": bool(result.reason)} | unsolved | doubtful
     reasons = tuple(words for words, so in checks.items() if so)
@@ -150,6 +153,15 @@ def wrinkled(result: Outcome) -> bool:
     Or whether a sheet without contact has buckled.
     """
     return (_lifted(result) and _waving(result)) or _buckled(result)
+
+
+def banded(result: Outcome) -> bool:
+    """Whether a part of a sheet that is reported is sheared in bands as narrow as the mesh.
+
+    Not in a plane test, where grips prescribe zones that may be as narrow.
+    """
+    areas, doubts = _shares(result)
+    return result.model.sheet.dim == 3 and bool(areas @ doubts["narrow_bands"] >= SHARE)
 
 
 def _waving(result: Outcome) -> bool:
@@ -181,6 +193,8 @@ def one_of_many(result: Outcome) -> str:
         signs.append(f"the flange lifts by {result.flange_lift:.2f} mm")
     if _buckled(result):
         signs.append(f"the sheet has buckled by {result.wrinkles['buckle_mm']:.3g} mm")
+    if banded(result):
+        signs.append("the sheet is sheared in bands as narrow as the mesh")
     if scattered := [k for k, entry in result.spread.items() if entry["judged"] > entry["robust"]]:
         signs.append(f"perturbed starts scatter in {', '.join(scattered)}")
     return "; ".join(signs)

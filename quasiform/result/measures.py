@@ -15,7 +15,7 @@ from ..model import COLLAPSE, Model
 from ..net.blank import Blank
 from ..net.transfer import percentile
 from .sheet import DOUBTS, FormedSheet
-from .stability import buckle, local_waves, shear_stability
+from .stability import buckle, local_waves, narrow_bands, shear_stability
 
 FloatArray = np.ndarray
 LEAST_FORCE = 0.05  # of a contact force: a radius with less on it does not count
@@ -101,6 +101,7 @@ def formed(
         "rovings_may_slip": far_slipped(model, x)
         if model.slip
         else shear_gradient(blank, np.abs(gamma)) > SLIP_GRADIENT,
+        "narrow_bands": narrow_bands(blank, gamma),
     }
     fields = {} if error is None else {"shear_angle_error": error}
     fields |= {

@@ -38,8 +38,9 @@ DOUBTS = (
     "collapsed",
     "rovings_may_slip",
     "fibres_may_buckle",
+    "narrow_bands",
 )
-"""Why the shear angle of a triangle may be wrong; the cell field `doubt` adds 1, 2, 4, 8, 16."""
+"""Why the shear angle of a triangle may be wrong; the cell field `doubt` adds 1, 2, 4, ... 32."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,8 @@ k² t0 s + k⁴ r B, where
 T_a is the tension of the fibres at constant γ, and D = d²W/dγ² (for I4 = I8 = 1) the stiffness of
 shear: s < 0 with D < 0 is softening. Only wavelengths above λ = 2π √(r B/(t0 |s|)) are unstable.
 Where such a band ends, it stretches the fibres b, along which it runs: this costs 4 W8'' H (π/l)²
-for a length l, which is more than the best wave releases, unless l > λ √(4 W8'' H/|s|).
+for a length l, which is more than the best wave releases, unless l > λ √(4 W8'' H/|s|). Where
+rovings slip, the ends cost next to nothing.
 
 A wave along a out of the plane changes the energy by k² t0 S_aa + k⁴ B: where no tool holds the
 sheet, fibres in compression buckle above λ = 2π √(B/(t0 |S_aa|)). In a region of the length L this
@@ -30,6 +31,7 @@ from ..net.blank import Blank
 FloatArray = np.ndarray
 CLEAR = 0.1  # of the thickness: nearer to a tool, the sheet counts as supported
 RESOLVED = 4  # spacings a wave: the shortest that a mesh shows (its k² is 19 % too low)
+BAND = 15.0  # degrees: how much more than both sides a band is sheared (assumed)
 
 
 def shear_stability(membrane: Membrane, x: FloatArray) -> FloatArray:
@@ -67,7 +69,7 @@ def local_waves(model: Model, x: FloatArray) -> tuple[dict[str, np.ndarray], dic
         length, pull = _runs(blank, along[1 - f], -s[f], soft)
         room, stress = _runs(blank, along[f], -S[f], free)
         band[f], buckling[f] = _critical(stiffness, turning), _critical(B_t0[f], stress)
-        ends = _critical(stiffness, pull) * np.sqrt(EH[f] / pull)
+        ends = 0.0 if model.slip else _critical(stiffness, pull) * np.sqrt(EH[f] / pull)
         bands |= (across >= band[f]) & (length >= ends) & (band[f] < shown)
         buckles |= (room >= buckling[f]) & (buckling[f] < shown)
         ratio[f] = stress * room**2 / (4.0 * np.pi**2 * (B_t0[f] or np.nan))
@@ -81,6 +83,23 @@ def local_waves(model: Model, x: FloatArray) -> tuple[dict[str, np.ndarray], dic
         "mesh_shows_mm": shown,
     }
     return {"bands_may_form": bands, "fibres_may_buckle": buckles}, figures
+
+
+def narrow_bands(blank: Blank, gamma: FloatArray) -> np.ndarray:
+    """(n_triangles,) bool: in a band along a fibre that is narrower than the mesh shows.
+
+    Half of `RESOLVED` spacings off on both sides the shear angle |gamma| (n_triangles,), degrees,
+    averaged over squares of one spacing, is less by `BAND`. The mesh sets the width of such a band.
+    """
+    squares, index = _squares(blank, *blank.warp)
+    off, at = RESOLVED // 2, tuple((squares - squares.min(0)).T)
+    angle = np.full([side.max() + 1 for side in at], np.nan)
+    angle[at] = np.bincount(index, blank.areas * np.abs(gamma)) / np.bincount(index, blank.areas)
+    found = np.zeros(angle.shape, dtype=bool)
+    for own, band in ((angle, found), (angle.T, found.T)):
+        sides = np.maximum(own[: -2 * off], own[2 * off :])
+        band[off:-off] |= own[off:-off] - sides > BAND
+    return found[at][index]
 
 
 def buckle(model: Model, x: FloatArray) -> float:
