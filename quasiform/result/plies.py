@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..checks import InputError
-from ..energy.plies import PlyContact, pair_name
+from ..energy.plies import PlyContact
 from ..model import Model
 from ..unknowns import Sheet
 from .sheet import FormedSheet
@@ -105,16 +105,15 @@ def between_plies(model: Model, x: FloatArray) -> list[dict[str, FloatArray]]:
     """
     plies = [view.sheet for view in model.plies]
     own = {sheet.name: _thickness(sheet, x) for sheet in plies}
-    pairs = [pair for pair in model.ply_pairs if all(c.sheet.name in own for c in pair)]
-    above, below = (_beyond(plies, pairs, x, own, side) for side in (-1.0, 1.0))
+    named = model.named_pairs.items()
+    pairs = {name: pair for name, pair in named if all(c.sheet.name in own for c in pair)}
+    above, below = (_beyond(plies, [*pairs.values()], x, own, side) for side in (-1.0, 1.0))
     found = []
     for sheet in plies:
         fields = {"stack_thickness": above[sheet.name] + own[sheet.name] + below[sheet.name]}
-        for pair in pairs:
+        for name, pair in pairs.items():
             slid = [np.nan_to_num(c.slid(model.x0, x)) for c in pair if c.sheet is sheet]
-            fields[f"slip_{pair_name(c.sheet for c in pair)}"] = (
-                slid[0] if slid else 0.0 * own[sheet.name]
-            )
+            fields[f"slip_{name}"] = slid[0] if slid else 0.0 * own[sheet.name]
         found.append({name: values[sheet.whole[1]] for name, values in fields.items()})
     return found
 
