@@ -35,11 +35,11 @@ from ..checks import InputError, check_number
 from ..energy.slip import ENDLESS, SlipWidth
 from ..fabric import Fabric, Slip, TabulatedLaw, ThreeStageLaw
 from ..scenes.fabric_tests import off_axis_tension
-from ..solve.equilibrium import Equilibrium, NotConvergedError
+from ..solve.equilibrium import Equilibrium
 from .energy_method import Forces
 from .fit import NAMES, UNSEEN, Fit, Parameter, Trial, report, search
 from .fit import Unknowns as LawUnknowns
-from .inverse import ANGLE_SIGMA, POINTS, TOLERANCE, Sheet
+from .inverse import POINTS, TOLERANCE, Sheet
 from .records import Curve
 from .specimen import OffAxis
 
@@ -150,22 +150,11 @@ class SlippingSheet(Sheet):
         """(n,) forces of the rows; NotConvergedError as `states`."""
         return self.to_rows @ [self._force(x) for x in self.states(law)]
 
-    def residual(self, unknowns: SlipUnknowns, p: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """As `Sheet.residual`."""
-        try:
-            states = self.states(unknowns.law(p))
-            slopes = [self._slopes(x, unknowns, p) for x in states]
-        except NotConvergedError:
-            return np.full(self.rows, np.inf), np.full((self.rows, len(p)), np.nan)
-        dforce, dangle = (np.array(part) for part in zip(*slopes, strict=True))
-        force = np.array([self._force(x) for x in states])
+    def _misfit(
+        self, force: FloatArray, dforce: FloatArray, unknowns: SlipUnknowns, p: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
         r = (self.to_rows @ force - self.force) / self.sigma
-        J = self.to_rows @ dforce / self.sigma[:, None]
-        if not self.with_angle:
-            return r, J
-        angle = np.radians([self.angle(x) for x in states])
-        off = (self.to_rows @ angle - self.curve.shear_angle) / ANGLE_SIGMA
-        return np.append(r, off), np.vstack([J, self.to_rows @ dangle / ANGLE_SIGMA])
+        return r, self.to_rows @ dforce / self.sigma[:, None]
 
     def states(self, law: SlippingLaw) -> list[FloatArray]:
         """Equilibria at the points; NotConvergedError where there is none."""
@@ -176,23 +165,15 @@ class SlippingSheet(Sheet):
         return super().states(law.shear)
 
     def _slopes(
-        self, x: FloatArray, unknowns: SlipUnknowns, p: FloatArray
+        self, x: FloatArray, v: FloatArray, unknowns: SlipUnknowns, p: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        dforce, dangle = super()._slopes(x, unknowns, p)
-        equilibrium, model, law = self.equilibrium, self.model, unknowns.law(p)
-        free = equilibrium.free
-        v = np.where(model.fixed, model.drive, 0.0)
-        _, load = equilibrium.factor(x, False, motion=v)
-        v[free] = -equilibrium.tangent.solve(load)
+        dforce, dangle = super()._slopes(x, v, unknowns, p)
+        law = unknowns.law(p)
         for i, name in enumerate(unknowns.names, start=len(unknowns.of_law.start)):
             g = getattr(law.slip, name) * self._by(name, x)
             dforce[i] = g @ v
             if self.with_angle:
-                dx = np.zeros(len(x))
-                dx[free] = -equilibrium.tangent.solve(g[free])
-                h = 1e-3 / max(np.abs(dx).max(), 1e-300)
-                rise = self.angle(x + h * dx) - self.angle(x - h * dx)
-                dangle[i] = np.radians(rise / (2 * h))
+                dangle[i] = self._angle_slope(x, g)
         return dforce, dangle
 
     def _by(self, name: str, x: FloatArray) -> FloatArray:
@@ -271,8 +252,7 @@ def identify_with_slip(
         SlippingSheet(*test[:2], fabric, size, slip) if isinstance(test[0], OffAxis) else test[2]
         for test in tests
     ]
-    EA = 4.0 * float(fabric.warp.stiffness(np.ones(1), 1.0)[0]) * fabric.thickness
-    models += [replace(test, EA=EA) for test in pulled]
+    models += [replace(test, EA=_stiffness(fabric)) for test in pulled]
     top = max(float(np.sin(forces.angles).max()) for *_, forces in tests)
     free = NAMES if start.law.I_lo < top else NAMES[:4]
     unknowns = SlipUnknowns(LawUnknowns(start.law, free), slip)
@@ -294,6 +274,11 @@ def identify_with_slip(
     )
 
 
+def _stiffness(fabric: Fabric) -> float:
+    """EA of the warp per width, N/mm."""
+    return 4.0 * float(fabric.warp.stiffness(np.ones(1), 1.0)[0]) * fabric.thickness
+
+
 def next_test(trial: Trial, strips: Sequence[OffAxis], fabric: Fabric, size: float) -> str:
     """Sentence on the further test that would narrow the wider interval of K and τ most."""
     unknowns, found = trial
@@ -311,7 +296,7 @@ def next_test(trial: Trial, strips: Sequence[OffAxis], fabric: Fabric, size: flo
             curve = Curve(np.ones(20), at, None, np.ones(20))
             sheet = SlippingSheet(strip, curve, fabric, size, law.slip)
             offers[f"an off-axis test at {angle:g}°"] = sheet
-    EA = 4.0 * float(fabric.warp.stiffness(np.ones(1), 1.0)[0]) * fabric.thickness
+    EA = _stiffness(fabric)
     if np.isfinite(law.slip.resistance):
         end = 2.0 * (law.slip.resistance / law.slip.stiffness + law.slip.resistance * 1e4 / EA)
         offers["a pull-out test over 100 mm"] = PullOut(
