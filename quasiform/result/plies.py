@@ -46,6 +46,11 @@ def in_one(plies: Sequence[FormedSheet]) -> FormedSheet:
     )
 
 
+def numbers_of(sheet: FormedSheet) -> np.ndarray:
+    """(m,) number of the ply of each triangle: the field `ply`, 1 where there is none."""
+    return np.ravel(sheet.cell_fields.get("ply", np.ones(len(sheet.triangles))))
+
+
 def one_of(sheet: FormedSheet, ply: int) -> FormedSheet:
     """One ply of several, all of them for 0; InputError if there is none of that number.
 
@@ -53,8 +58,7 @@ def one_of(sheet: FormedSheet, ply: int) -> FormedSheet:
     """
     if not ply:
         return sheet
-    numbers = np.ravel(sheet.cell_fields.get("ply", np.ones(len(sheet.triangles))))
-    own = numbers == ply
+    own = (numbers := numbers_of(sheet)) == ply
     if not own.any():
         raise InputError(f"no ply {ply} of {int(numbers.max(initial=1))}")
     if own.all():
@@ -72,7 +76,7 @@ def one_of(sheet: FormedSheet, ply: int) -> FormedSheet:
 
 def apart(sheet: FormedSheet) -> list[tuple[np.ndarray, FormedSheet]]:
     """Each ply of a sheet of all, after the numbers of its nodes there."""
-    number = np.ravel(sheet.cell_fields.get("ply", np.ones(len(sheet.triangles))))
+    number = numbers_of(sheet)
     if (number == number[0]).all():
         return [(np.arange(len(sheet.places)), sheet)]
     plies = np.unique(number).astype(int)
