@@ -67,14 +67,12 @@ def figures(
     `spread` says whether the runs are spread over the ranges, not those of a search.
     """
     done = [k for k, status in enumerate(table["status"]) if status == "completed"]
-    outputs = [name for name in outputs if all(_is_number(table[name][k]) for k in done)]
-    keys = [
-        key
-        for key in keys
-        if all(_is_number(table[key][k]) for k in done) and len({table[key][k] for k in done}) > 1
-    ]
     if len(done) < LEAST:
         return {}
+    known = {name: [table[name][k] for k in done] for name in (*outputs, *keys)}
+    known = {name: values for name, values in known.items() if all(map(_is_number, values))}
+    outputs = [name for name in outputs if name in known]
+    keys = [key for key in keys if len(set(known.get(key, ()))) > 1]
     found: dict[str, Figure] = {}
     if keys and outputs:
         found["scatter.png"] = scatter_figure(keys, outputs, table, done)
@@ -360,16 +358,16 @@ def window_figure(
             axes.annotate(f"{count}/{of}", place, **look)
     axes.set_xlabel(plot.plain(keys[0]))
     axes.set_ylabel(plot.plain(keys[1]))
-    rows = {row[0]: row[1:] for row in zip(*shares.values(), strict=True)}
-    handles = []
-    for name, colour in zip(order, colours, strict=True):
-        n, of, a, b = rows[name]
-        words = f"{name}: {n} of {of} ({number(100 * a, 2)} to {number(100 * b, 2)} %)"
-        handles.append(Patch(facecolor=colour, alpha=0.75, ec="0.3", linewidth=0.5, label=words))
-    n, of, a, b = rows["trust limited"]
-    words = f"trust limited: {n} of {of} ({number(100 * a, 2)} to {number(100 * b, 2)} %)"
+    labels = {
+        name: f"{name}: {n} of {of} ({number(100 * low, 2)} to {number(100 * high, 2)} %)"
+        for name, n, of, low, high in zip(*shares.values(), strict=True)
+    }
+    look = {"alpha": 0.75, "ec": "0.3", "linewidth": 0.5}
+    named = zip(order, colours, strict=True)
+    handles = [Patch(facecolor=colour, label=labels[name], **look) for name, colour in named]
     look = {"marker": "X", "mfc": "white", "mec": "black", "markeredgewidth": 0.5}
-    handles.append(Line2D([], [], linestyle="", markersize=4, label=words, **look))
+    look |= {"linestyle": "", "markersize": 4, "label": labels["trust limited"]}
+    handles.append(Line2D([], [], **look))
     figure.legend(handles=handles, loc="outside right upper")
     figure.suptitle(f"process window, {len(states)} runs", x=0.01, ha="left")
     return figure
