@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import textwrap
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from numbers import Real
 from pathlib import Path
 from typing import Any
@@ -92,13 +93,20 @@ def save_pictures(run: Record, folder: str | Path) -> None:
     draw = {"shear_angle": sheet_figure, "history": history_figure, "doubt": doubt_figure}
     if all(name in run.sheet.cell_fields for name in GAPS):
         draw["gaps"] = gap_figure
-    with rc_context(STYLE), warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Glyph")  # a name with letters the font lacks
+    with page_style():
         for name, picture in draw.items():
             picture(run).savefig(Path(folder) / f"{name}.png", dpi=DPI)
         for ply in run.plies[1:]:
             name = f"shear_angle_ply_{ply.ply}.png"
             sheet_figure(ply).savefig(Path(folder) / name, dpi=DPI)
+
+
+@contextmanager
+def page_style() -> Iterator[None]:
+    """Draw with the style of the pages; a name may have letters that the font lacks."""
+    with rc_context(STYLE), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Glyph")
+        yield
 
 
 def sheet_figure(run: Record) -> Figure:
