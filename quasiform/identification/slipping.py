@@ -37,7 +37,7 @@ from ..fabric import Fabric, Slip, TabulatedLaw, ThreeStageLaw
 from ..scenes.fabric_tests import off_axis_tension
 from ..solve.equilibrium import Equilibrium
 from .energy_method import Forces
-from .fit import NAMES, UNSEEN, Fit, Parameter, Trial, report, search
+from .fit import NAMES, UNSEEN, Fit, Parameter, Trial, report, search, variance
 from .fit import Unknowns as LawUnknowns
 from .inverse import POINTS, TOLERANCE, Sheet
 from .records import Curve
@@ -108,17 +108,6 @@ class SlipUnknowns(LawUnknowns):
             for name, q in zip(self.names, p[n:], strict=True)
         }
         return SlippingLaw(self.of_law.law(p[:n]), replace(self.slip, **found))
-
-    def slopes(self, p: FloatArray, of: Any) -> FloatArray:
-        """Derivatives (..., k) of a function (...) of the shear law, by central differences."""
-        columns = []
-        for i in range(len(self.of_law.start)):
-            step = 1e-6 * max(abs(p[i]), 1e-3)
-            above, below = p.copy(), p.copy()
-            above[i], below[i] = p[i] + step, max(p[i] - step, self.bounds[0, i])
-            columns.append((of(self.law(above)) - of(self.law(below))) / (above[i] - below[i]))
-        columns += [np.zeros_like(columns[0])] * len(self.names)
-        return np.stack(columns, axis=-1)
 
 
 class SlippingSheet(Sheet):
@@ -368,7 +357,7 @@ def profiled(models: Sequence[Any], found: Trial) -> tuple[Trial, list[tuple[flo
                 if cost < LOWER * lowest:
                     lowest, unknowns.start = cost, p
             rises = [2 * max(cost - fitted.cost, 0.0) for cost, _ in tried]
-            roots = np.sqrt(np.array(rises) / _variance(fitted.jac, fitted.fun))
+            roots = np.sqrt(np.array(rises) / variance(fitted.jac, fitted.fun))
             bent = np.where(np.isfinite(roots), roots / 1.96 - 1.0, 0.0)
             # root = 1.96 (t + bent t²) at t of the end
             t = 2.0 / (1.0 + np.sqrt(np.maximum(1.0 + 4.0 * bent, 0.0)))
@@ -397,17 +386,11 @@ def _held(
     return best.cost, p
 
 
-def _variance(J: FloatArray, r: FloatArray) -> float:
-    """Variance of the residuals (n,); larger where these are correlated."""
-    lag = float(np.clip((r[1:] @ r[:-1]) / max(r @ r, 1e-300), 0.0, 0.95))
-    return float(r @ r) / max(len(r) - J.shape[1], 1) * (1 + lag) / (1 - lag)
-
-
 def _covariance(J: FloatArray, r: FloatArray) -> FloatArray:
     """(k, k) of the numbers; infinite if unseen."""
     size = np.linalg.norm(J, axis=0)
     seen = size > UNSEEN * size.max()
     found = np.diag(np.full(len(size), 1e8))
     pseudo = np.linalg.pinv(J[:, seen].T @ J[:, seen], hermitian=True)
-    found[np.ix_(seen, seen)] = _variance(J, r) * pseudo
+    found[np.ix_(seen, seen)] = variance(J, r) * pseudo
     return found
