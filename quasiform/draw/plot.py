@@ -90,9 +90,8 @@ LIGHT = np.array([-0.45, 0.55, 0.70])  # direction to the light: right, up, towa
 
 def save_pictures(run: Record, folder: str | Path) -> None:
     """Write the pictures into an existing folder; `gaps.png` where rovings slip."""
-    draw = {"shear_angle": sheet_figure, "history": history_figure, "doubt": doubt_figure}
-    if all(name in run.sheet.cell_fields for name in GAPS):
-        draw["gaps"] = gap_figure
+    gaps = all(name in run.sheet.cell_fields for name in GAPS)
+    draw = FIGURES | ({"gaps": gap_figure} if gaps else {})
     with page_style():
         for name, picture in draw.items():
             picture(run).savefig(Path(folder) / f"{name}.png", dpi=DPI)
@@ -223,6 +222,9 @@ def history_figure(run: Record) -> Figure:
         _draw_draw_in(axes[2], run, draw_in)
     figure.suptitle(_title(run), parse_math=False)
     return figure
+
+
+FIGURES = {"shear_angle": sheet_figure, "history": history_figure, "doubt": doubt_figure}
 
 
 def new_figure(height: float) -> Figure:
