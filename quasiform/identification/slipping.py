@@ -345,14 +345,10 @@ def profiled(models: Sequence[Any], found: Trial) -> tuple[Trial, list[tuple[flo
         covariance, lowest, ends = _covariance(fitted.jac, fitted.fun), fitted.cost, []
         for i in range(len(unknowns.of_law.start), len(fitted.x)):
             wide = 1.96 * float(np.sqrt(covariance[i, i]))
-            tried = (
-                [
-                    _held(models, found, covariance[:, i] / covariance[i, i] * end, i)
-                    for end in (-wide, wide)
-                ]
-                if wide < SURE
-                else [(np.inf, fitted.x)] * 2
-            )
+            tried = [(np.inf, fitted.x)] * 2
+            if wide < SURE:
+                along = covariance[:, i] / covariance[i, i]
+                tried = [_held(models, found, along * end, i) for end in (-wide, wide)]
             for cost, p in tried:
                 if cost < LOWER * lowest:
                     lowest, unknowns.start = cost, p
