@@ -33,6 +33,7 @@ from ..result.measures import SLIP_GRADIENT, percentile
 from ..result.plies import apart
 from ..result.record import Record
 from ..result.sheet import FormedSheet
+from ..tools.mending import normals_of
 from .overlay import level_lines, tool_cuts
 
 FloatArray = np.ndarray
@@ -459,9 +460,8 @@ def hidden(P: FloatArray, triangles: np.ndarray, points: FloatArray) -> np.ndarr
 
 def node_normals(triangles: np.ndarray, P: FloatArray) -> FloatArray:
     """(n_nodes, 3) sums of the normals of the triangles around a node, twice their area long."""
-    corners, normals = P[triangles], np.zeros((len(P), 3))
-    of_triangles = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    np.add.at(normals, triangles, of_triangles[:, None])
+    normals = np.zeros((len(P), 3))
+    np.add.at(normals, triangles, normals_of(P[triangles])[:, None])
     return normals
 
 
