@@ -236,6 +236,17 @@ def tornado_figure(
     return _tornado(panels, names, title, both)
 
 
+def _two_abreast(count: int, head: float, each: float, **shared: bool) -> tuple[Figure, np.ndarray]:
+    """A figure with panels in rows of two at most, each so high, under a head, inches."""
+    columns = min(count, 2)
+    lines = -(-count // columns)
+    figure = new_figure(head + lines * each)
+    panels = figure.subplots(lines, columns, squeeze=False, **shared).ravel()
+    for spare in panels[count:]:
+        spare.axis("off")
+    return figure, panels
+
+
 def _tornado(
     panels: list[tuple[str, dict[str, tuple[float, float | None]], str]],
     names: Mapping[str, str],
@@ -244,13 +255,9 @@ def _tornado(
 ) -> Figure:
     """Bars of changes with their errors, the largest on top, a panel for each output."""
     most = max(len(bars) for _, bars, _ in panels)
-    columns = min(len(panels), 2)
-    lines = -(-len(panels) // columns)
     row = ROW * (1.25 if "\n" in "".join(names.values()) else 1.0)
-    figure = new_figure(0.35 + lines * (0.55 + row * most))
-    for axes, (output, bars, fit) in zip(
-        figure.subplots(lines, columns, squeeze=False).ravel(), panels, strict=False
-    ):
+    figure, grid = _two_abreast(len(panels), 0.35, 0.55 + row * most)
+    for axes, (output, bars, fit) in zip(grid, panels, strict=False):
         order = sorted(bars, key=lambda key: abs(bars[key][0]))
         width = [bars[key][0] for key in order]
         errors = [bars[key][1] for key in order]
@@ -266,8 +273,6 @@ def _tornado(
         axes.tick_params(axis="y", length=0)
         axes.set_xlabel(f"change of {_words(output)}")
         axes.set_title(fit, loc="right", fontsize=7, color="0.4")
-    for axes in figure.axes[len(panels) :]:
-        axes.axis("off")
     figure.suptitle(title, x=0.01, ha="left")
     return figure
 
@@ -280,11 +285,9 @@ def indices_figure(table: Table, groups: int, confidence: float) -> Figure:
     """Sobol' indices of each output with their intervals."""
     outputs = list(dict.fromkeys(table["output"]))[: SHOWN[0]]
     keys = list(dict.fromkeys(table["key"]))
-    columns = min(len(outputs), 2)
-    lines = -(-len(outputs) // columns)
-    figure = new_figure(0.5 + lines * (0.5 + 0.33 * len(keys)))
+    each = 0.5 + 0.33 * len(keys)
+    figure, panels = _two_abreast(len(outputs), 0.5, each, sharey=True, sharex=True)
     rows = list(zip(*table.values(), strict=True))
-    panels = figure.subplots(lines, columns, squeeze=False, sharey=True, sharex=True).ravel()
     for axes, output in zip(panels, outputs, strict=False):
         for order, colour, shift in (("first", FIRST, 0.17), ("total", "#b5a4d0", -0.17)):
             found = [row for row in rows if row[0] == output and row[2] == order]
@@ -297,10 +300,8 @@ def indices_figure(table: Table, groups: int, confidence: float) -> Figure:
         axes.tick_params(axis="y", length=0)
         axes.axvline(0.0, color="0.3", linewidth=0.6)
         axes.set_title(_words(output))
-    for axes in panels[-columns:]:
+    for axes in panels[-min(len(outputs), 2) :]:
         axes.set_xlabel("share of the variance")
-    for axes in panels[len(outputs) :]:
-        axes.axis("off")
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper right", ncols=2)
     words = f"Sobol' indices, {groups} groups of runs, {100 * confidence:g} % intervals"
     figure.suptitle(words, x=0.01, ha="left")
