@@ -29,6 +29,7 @@ from matplotlib.patheffects import Normal, Stroke
 from ..checks import number
 from ..net.blank import Blank
 from ..net.edges import edge_points
+from ..net.slits import joined
 from ..result.measures import SLIP_GRADIENT, percentile
 from ..result.plies import apart
 from ..result.record import Record
@@ -436,10 +437,8 @@ def draw_lines(
     Segments and nodes P (n, 3) are those in the view; the width is in points.
     """
     shown = lines[~hidden(P, triangles, lines.mean(1)), :, :2]
-    pieces = shapely.multilinestrings(shapely.linestrings(np.round(shown, 6)))
-    joined = [shapely.get_coordinates(p) for p in shapely.get_parts(shapely.line_merge(pieces))]
     look = {"colors": [colour], "linewidths": width, "joinstyle": "round", "capstyle": "butt"}
-    axes.add_collection(LineCollection(joined, **look))
+    axes.add_collection(LineCollection(joined(np.round(shown, 6)), **look))
 
 
 def hidden(P: FloatArray, triangles: np.ndarray, points: FloatArray) -> np.ndarray:
