@@ -13,7 +13,7 @@ from .energy.contact import Contact, surrounds
 from .energy.diaphragm import Diaphragm
 from .energy.friction import Friction
 from .energy.membrane import Membrane
-from .energy.plies import PlyContact, folds_on_itself
+from .energy.plies import PlyContact, folds_on_itself, pair_name
 from .energy.pressure import Pressure
 from .energy.slip import SlipResistance
 from .energy.term import Term
@@ -182,6 +182,11 @@ class Model:
         """Both contact terms of each pair of plies, that of the upper ply first."""
         found = self.ply_contacts if len(self.sheets) > 1 else []
         return list(zip(found[::2], found[1::2], strict=True))
+
+    @property
+    def named_pairs(self) -> dict[str, tuple[PlyContact, PlyContact]]:
+        """`ply_pairs` by the numbers of their plies, such as 1_2."""
+        return {pair_name(c.sheet for c in pair): pair for pair in self.ply_pairs}
 
     @property
     def pressures(self) -> list[Pressure]:

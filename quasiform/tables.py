@@ -1,4 +1,4 @@
-"""Tables of numbers in text files: one reader for records, outlines, fields and histories.
+"""Tables in text files: one reader for records, outlines, fields and histories, and a writer.
 
 Columns are separated by semicolons, tabs, blanks or commas, with a decimal point or comma. Lines
 before the heading are skipped; the heading may be a comment, and a line of units may follow it.
@@ -11,10 +11,10 @@ from __future__ import annotations
 import csv
 import re
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from math import pi
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -297,6 +297,12 @@ def read_numbers(path: Path, most: int = WIDEST) -> tuple[list[str], list[str], 
                 raise InputError(f"line {row.line}: {words}")
         numbers = numbers_in(below, {f"column {k + 1}": k for k in range(width)}, gaps=True)
         return (above[-1] if above else []), units[:width], numbers
+
+
+def write_rows(path: Path, rows: Iterable[Iterable[Any]]) -> None:
+    """Write a CSV file, its headings first."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file).writerows(rows)
 
 
 def is_unit(cell: str) -> bool:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -17,6 +16,7 @@ from ..meshes.shells import counted
 from ..result.files import replaced
 from ..result.sheet import FormedSheet
 from ..result.summary import package_version
+from ..tables import write_rows
 from ..toml_file import dotted_values
 from .differences import (
     COLUMNS,
@@ -140,10 +140,8 @@ class Comparison:
         with replaced(out, force=force, names=FILES) as folder:
             text = json.dumps(content, indent=2, allow_nan=False, ensure_ascii=False)
             (folder / "compare.json").write_text(text + "\n", encoding="utf-8")
-            with (folder / "compare.csv").open("w", newline="", encoding="utf-8") as file:
-                writer = csv.DictWriter(file, COLUMNS)
-                writer.writeheader()
-                writer.writerows(row.cells(".8g") for row in self.rows)
+            rows = [row.cells(".8g").values() for row in self.rows]
+            write_rows(folder / "compare.csv", [COLUMNS, *rows])
             (folder / "compare.md").write_text(self.markdown(), encoding="utf-8")
             if self.field is not None:
                 names, values = ("difference", *SIDES), (self.difference, *self.gamma)

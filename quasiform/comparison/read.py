@@ -137,9 +137,8 @@ class Side:
         return replace(before, **between, travel=travel), words
 
 
-def read_side(source: Result | Record | str | Path, reading: Reading | None = None) -> Side:
+def read_side(source: Result | Record | str | Path, reading: Reading) -> Side:
     """Read one side; InputError names the file and its defect, or the choice to be made."""
-    reading = reading or Reading()
     if not isinstance(source, str | Path):
         return _of_record(Record.of(source), reading)
     path = Path(source)

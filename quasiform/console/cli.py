@@ -707,11 +707,10 @@ def plot(
     output: Output = Output(),
 ) -> None:
     """Pictures of results, one or several side by side, and a table of their key numbers."""
-    import csv
-
     from ..draw import pictures
     from ..result.files import replaced
     from ..result.record import Record
+    from ..tables import write_rows
 
     if not folders:
         raise InputError("plot: expected the folder of a result, DIR")
@@ -729,8 +728,7 @@ def plot(
     terminal.say(f"writing to {target}")
     with replaced(target, force=output.force, names=pictures.FILES) as staging:
         notes = pictures.save(runs, staging, only, scale, animate)
-        with (staging / "table.csv").open("w", newline="", encoding="utf-8") as file:
-            csv.writer(file).writerows(rows)
+        write_rows(staging / "table.csv", rows)
     terminal.say(shown, *terminal.notes(notes), terminal.files(target, pictures.FILES))
 
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from ..checks import InputError
 from ..model import Model
+from ..result.certificate import too_long
 from ..scenes.forming import FINE as RESOLVES
 from ..solve import levels
 from ..solve.dependence import COARSER, FINER
@@ -98,12 +99,7 @@ def limits(model: Model, options: Mapping[str, Any]) -> list[str]:
             f"a mesh of {model.size:.3g} mm is too coarse for the smallest radius of the tools, "
             f"{radius:.3g} mm, if the sheet bends over it: half of it is allowed"
         )
-    given = options["increment"]
-    if given and model.frictions and given > model.increment * (1 + 1e-6):
-        found.append(
-            f"friction follows its path in increments of {model.increment:g} mm, not {given:g}"
-        )
-    return found
+    return [*found, *filter(None, [too_long(model, options["increment"])])]
 
 
 def asked(model: Model, options: Mapping[str, Any]) -> tuple[Mesh, ...] | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from ..result.certificate import spoken, unit
 from ..result.files import SENSITIVITY, added, writing_to
 from ..result.run import Result
 from ..solve.parameters import check_smooth, named, parameters
+from ..tables import write_rows
 
 SHOWN = 4, 10  # numbers of a run and parameters in the picture at most
 PERCENT = 0.01
@@ -45,10 +45,7 @@ def save(
             for name, output in zip(table["parameter"], table["output"], strict=True)
         ]
     with writing_to(folder), added(folder) as staging:
-        with (staging / SENSITIVITY[0]).open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file)
-            writer.writerow(table)
-            writer.writerows(zip(*table.values(), strict=True))
+        write_rows(staging / SENSITIVITY[0], [table, *zip(*table.values(), strict=True)])
         _draw(changes, found.parameters, uncertain, staging / SENSITIVITY[1])
     if not uncertain:
         largest = changes[result.model.force_name]

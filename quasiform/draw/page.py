@@ -104,14 +104,9 @@ def _numbers(
 
 def _pictures(run: Record) -> dict[str, bytes]:
     """PNG of each picture."""
-    draw = {
-        "shear_angle": plot.sheet_figure,
-        "history": plot.history_figure,
-        "doubt": plot.doubt_figure,
-    }
     found = {}
     with rc_context(plot.STYLE):
-        for name, picture in draw.items():
+        for name, picture in plot.FIGURES.items():
             drawn = picture(run)
             drawn.suptitle("")  # the page says it once
             drawn.savefig(content := BytesIO(), dpi=plot.DPI)

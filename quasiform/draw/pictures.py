@@ -10,14 +10,12 @@ from __future__ import annotations
 
 import shutil
 import textwrap
-import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import shapely
-from matplotlib import rc_context
 from matplotlib.animation import FFMpegWriter, PillowWriter
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
@@ -66,8 +64,7 @@ def save(
     runs, labels = list(runs), _labels(runs)
     end = end or scale_end(runs)
     notes: list[str] = []
-    with rc_context(plot.STYLE), warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Glyph")  # a name with letters the font lacks
+    with plot.page_style():
         for name in only or PICTURES:
             figure = PICTURES[name](runs, labels, end, notes)
             figure.savefig(Path(folder) / f"{name}.png", dpi=plot.DPI, bbox_inches="tight")

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import textwrap
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from numbers import Real
 from pathlib import Path
 from typing import Any
@@ -28,10 +29,12 @@ from matplotlib.patheffects import Normal, Stroke
 from ..checks import number
 from ..net.blank import Blank
 from ..net.edges import edge_points
+from ..net.slits import joined
 from ..result.measures import SLIP_GRADIENT, percentile
 from ..result.plies import apart
 from ..result.record import Record
 from ..result.sheet import FormedSheet
+from ..tools.mending import normals_of
 from .overlay import level_lines, tool_cuts
 
 FloatArray = np.ndarray
@@ -94,16 +97,22 @@ LIGHT = np.array([-0.45, 0.55, 0.70])  # direction to the light: right, up, towa
 
 def save_pictures(run: Record, folder: str | Path) -> None:
     """Write the pictures into an existing folder; `gaps.png` where rovings slip."""
-    draw = {"shear_angle": sheet_figure, "history": history_figure, "doubt": doubt_figure}
-    if all(name in run.sheet.cell_fields for name in GAPS):
-        draw["gaps"] = gap_figure
-    with rc_context(STYLE), warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Glyph")  # a name with letters the font lacks
+    gaps = all(name in run.sheet.cell_fields for name in GAPS)
+    draw = FIGURES | ({"gaps": gap_figure} if gaps else {})
+    with page_style():
         for name, picture in draw.items():
             picture(run).savefig(Path(folder) / f"{name}.png", dpi=DPI)
         for ply in run.plies[1:]:
             name = f"shear_angle_ply_{ply.ply}.png"
             sheet_figure(ply).savefig(Path(folder) / name, dpi=DPI)
+
+
+@contextmanager
+def page_style() -> Iterator[None]:
+    """Draw with the style of the pages; a name may have letters that the font lacks."""
+    with rc_context(STYLE), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Glyph")
+        yield
 
 
 def sheet_figure(run: Record) -> Figure:
@@ -220,6 +229,9 @@ def history_figure(run: Record) -> Figure:
         _draw_draw_in(axes[2], run, draw_in)
     figure.suptitle(_title(run), parse_math=False)
     return figure
+
+
+FIGURES = {"shear_angle": sheet_figure, "history": history_figure, "doubt": doubt_figure}
 
 
 def new_figure(height: float) -> Figure:
@@ -430,10 +442,8 @@ def draw_lines(
     Segments and nodes P (n, 3) are those in the view; the width is in points.
     """
     shown = lines[~hidden(P, triangles, lines.mean(1)), :, :2]
-    pieces = shapely.multilinestrings(shapely.linestrings(np.round(shown, 6)))
-    joined = [shapely.get_coordinates(p) for p in shapely.get_parts(shapely.line_merge(pieces))]
     look = {"colors": [colour], "linewidths": width, "joinstyle": "round", "capstyle": "butt"}
-    axes.add_collection(LineCollection(joined, **look))
+    axes.add_collection(LineCollection(joined(np.round(shown, 6)), **look))
 
 
 def hidden(P: FloatArray, triangles: np.ndarray, points: FloatArray) -> np.ndarray:
@@ -454,9 +464,8 @@ def hidden(P: FloatArray, triangles: np.ndarray, points: FloatArray) -> np.ndarr
 
 def node_normals(triangles: np.ndarray, P: FloatArray) -> FloatArray:
     """(n_nodes, 3) sums of the normals of the triangles around a node, twice their area long."""
-    corners, normals = P[triangles], np.zeros((len(P), 3))
-    of_triangles = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    np.add.at(normals, triangles, of_triangles[:, None])
+    normals = np.zeros((len(P), 3))
+    np.add.at(normals, triangles, normals_of(P[triangles])[:, None])
     return normals
 
 

@@ -67,14 +67,12 @@ def figures(
     `spread` says whether the runs are spread over the ranges, not those of a search.
     """
     done = [k for k, status in enumerate(table["status"]) if status == "completed"]
-    outputs = [name for name in outputs if all(_is_number(table[name][k]) for k in done)]
-    keys = [
-        key
-        for key in keys
-        if all(_is_number(table[key][k]) for k in done) and len({table[key][k] for k in done}) > 1
-    ]
     if len(done) < LEAST:
         return {}
+    known = {name: [table[name][k] for k in done] for name in (*outputs, *keys)}
+    known = {name: values for name, values in known.items() if all(map(_is_number, values))}
+    outputs = [name for name in outputs if name in known]
+    keys = [key for key in keys if len(set(known.get(key, ()))) > 1]
     found: dict[str, Figure] = {}
     if keys and outputs:
         found["scatter.png"] = scatter_figure(keys, outputs, table, done)
@@ -238,6 +236,17 @@ def tornado_figure(
     return _tornado(panels, names, title, both)
 
 
+def _two_abreast(count: int, head: float, each: float, **shared: bool) -> tuple[Figure, np.ndarray]:
+    """A figure with panels in rows of two at most, each so high, under a head, inches."""
+    columns = min(count, 2)
+    lines = -(-count // columns)
+    figure = new_figure(head + lines * each)
+    panels = figure.subplots(lines, columns, squeeze=False, **shared).ravel()
+    for spare in panels[count:]:
+        spare.axis("off")
+    return figure, panels
+
+
 def _tornado(
     panels: list[tuple[str, dict[str, tuple[float, float | None]], str]],
     names: Mapping[str, str],
@@ -246,13 +255,9 @@ def _tornado(
 ) -> Figure:
     """Bars of changes with their errors, the largest on top, a panel for each output."""
     most = max(len(bars) for _, bars, _ in panels)
-    columns = min(len(panels), 2)
-    lines = -(-len(panels) // columns)
     row = ROW * (1.25 if "\n" in "".join(names.values()) else 1.0)
-    figure = new_figure(0.35 + lines * (0.55 + row * most))
-    for axes, (output, bars, fit) in zip(
-        figure.subplots(lines, columns, squeeze=False).ravel(), panels, strict=False
-    ):
+    figure, grid = _two_abreast(len(panels), 0.35, 0.55 + row * most)
+    for axes, (output, bars, fit) in zip(grid, panels, strict=False):
         order = sorted(bars, key=lambda key: abs(bars[key][0]))
         width = [bars[key][0] for key in order]
         errors = [bars[key][1] for key in order]
@@ -268,8 +273,6 @@ def _tornado(
         axes.tick_params(axis="y", length=0)
         axes.set_xlabel(f"change of {_words(output)}")
         axes.set_title(fit, loc="right", fontsize=7, color="0.4")
-    for axes in figure.axes[len(panels) :]:
-        axes.axis("off")
     figure.suptitle(title, x=0.01, ha="left")
     return figure
 
@@ -282,11 +285,9 @@ def indices_figure(table: Table, groups: int, confidence: float) -> Figure:
     """Sobol' indices of each output with their intervals."""
     outputs = list(dict.fromkeys(table["output"]))[: SHOWN[0]]
     keys = list(dict.fromkeys(table["key"]))
-    columns = min(len(outputs), 2)
-    lines = -(-len(outputs) // columns)
-    figure = new_figure(0.5 + lines * (0.5 + 0.33 * len(keys)))
+    each = 0.5 + 0.33 * len(keys)
+    figure, panels = _two_abreast(len(outputs), 0.5, each, sharey=True, sharex=True)
     rows = list(zip(*table.values(), strict=True))
-    panels = figure.subplots(lines, columns, squeeze=False, sharey=True, sharex=True).ravel()
     for axes, output in zip(panels, outputs, strict=False):
         for order, colour, shift in (("first", FIRST, 0.17), ("total", "#b5a4d0", -0.17)):
             found = [row for row in rows if row[0] == output and row[2] == order]
@@ -299,10 +300,8 @@ def indices_figure(table: Table, groups: int, confidence: float) -> Figure:
         axes.tick_params(axis="y", length=0)
         axes.axvline(0.0, color="0.3", linewidth=0.6)
         axes.set_title(_words(output))
-    for axes in panels[-columns:]:
+    for axes in panels[-min(len(outputs), 2) :]:
         axes.set_xlabel("share of the variance")
-    for axes in panels[len(outputs) :]:
-        axes.axis("off")
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper right", ncols=2)
     words = f"Sobol' indices, {groups} groups of runs, {100 * confidence:g} % intervals"
     figure.suptitle(words, x=0.01, ha="left")
@@ -360,16 +359,16 @@ def window_figure(
             axes.annotate(f"{count}/{of}", place, **look)
     axes.set_xlabel(plot.plain(keys[0]))
     axes.set_ylabel(plot.plain(keys[1]))
-    rows = {row[0]: row[1:] for row in zip(*shares.values(), strict=True)}
-    handles = []
-    for name, colour in zip(order, colours, strict=True):
-        n, of, a, b = rows[name]
-        words = f"{name}: {n} of {of} ({number(100 * a, 2)} to {number(100 * b, 2)} %)"
-        handles.append(Patch(facecolor=colour, alpha=0.75, ec="0.3", linewidth=0.5, label=words))
-    n, of, a, b = rows["trust limited"]
-    words = f"trust limited: {n} of {of} ({number(100 * a, 2)} to {number(100 * b, 2)} %)"
+    labels = {
+        name: f"{name}: {n} of {of} ({number(100 * low, 2)} to {number(100 * high, 2)} %)"
+        for name, n, of, low, high in zip(*shares.values(), strict=True)
+    }
+    look = {"alpha": 0.75, "ec": "0.3", "linewidth": 0.5}
+    named = zip(order, colours, strict=True)
+    handles = [Patch(facecolor=colour, label=labels[name], **look) for name, colour in named]
     look = {"marker": "X", "mfc": "white", "mec": "black", "markeredgewidth": 0.5}
-    handles.append(Line2D([], [], linestyle="", markersize=4, label=words, **look))
+    look |= {"linestyle": "", "markersize": 4, "label": labels["trust limited"]}
+    handles.append(Line2D([], [], **look))
     figure.legend(handles=handles, loc="outside right upper")
     figure.suptitle(f"process window, {len(states)} runs", x=0.01, ha="left")
     return figure

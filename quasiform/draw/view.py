@@ -20,7 +20,7 @@ from matplotlib.colors import to_hex
 
 from ..checks import InputError
 from ..result.files import writing_to
-from ..result.plies import apart
+from ..result.plies import apart, numbers_of
 from ..result.record import Record
 from ..result.sheet import FormedSheet
 from . import plot
@@ -282,11 +282,10 @@ def _mesh(sheet: FormedSheet, numbers: _Numbers) -> dict[str, Any]:
         for name, found in (("fibres", plot.shown_fibres(ply)), ("outline", ply.loops)):
             parts = [part for line in found for part in (nodes[line], [-1])]
             lines[name].append(numbers.add(np.concatenate([np.empty(0, dtype=int), *parts])))
-    number = sheet.cell_fields.get("ply", np.ones(len(sheet.triangles)))
     return {
         "triangles": numbers.add(sheet.triangles.T),
         "flat": numbers.add(sheet.flat[sheet.triangles].mean(1)),
-        "ply": numbers.add(np.ravel(number).astype(int)),
+        "ply": numbers.add(numbers_of(sheet).astype(int)),
         "lines": lines,
     }
 
@@ -298,12 +297,11 @@ def _fields(run: Record, sheet: FormedSheet, weights: FloatArray) -> dict[str, F
     """
     cells, corners = sheet.cell_fields, sheet.triangles
     found = {"shear": sheet.shear_angle}
-    number = np.ravel(cells["ply"]).astype(int) - 1 if len(weights) > 1 else 0
+    number = numbers_of(sheet).astype(int) - 1 if len(weights) > 1 else 0
     if np.isfinite(weights).all() and weights.all():
         found["weight"] = weights[number] / np.maximum(sheet.area_ratio, 1e-6)
     for name in ("warp", "weft"):
-        turn = np.degrees(np.arctan2(cells[name][:, 1], cells[name][:, 0]))
-        found[name] = turn
+        found[name] = np.degrees(np.arctan2(cells[name][:, 1], cells[name][:, 0]))
     if run.has_tools and "contact_pressure" in sheet.point_fields:
         found["pressure"] = np.ravel(sheet.point_fields["contact_pressure"])[corners].mean(1)
     if "shear_angle_error" in cells:

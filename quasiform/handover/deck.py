@@ -24,6 +24,7 @@ from ..energy.membrane import Membrane
 from ..energy.weight import GRAVITY, SheetWeight, ToolWeight, load_of
 from ..fabric import Fabric, TabulatedLaw, ThreeStageLaw
 from ..model import Model
+from ..result.files import writing_to
 from ..result.summary import package_version
 from ..tools.shapes import Tool
 from .inp import DENSITY
@@ -107,11 +108,9 @@ def abaqus_deck(
     values |= {"supports": supports, "motions": motions, "settle": SETTLE, "time": time}
     values |= {"steps": [*settling, ("travel", time)], "gravity": 1e6 * GRAVITY}
     values["heavy"] = any(isinstance(term, SheetWeight) for term in model.terms)
-    try:
+    with writing_to(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         fill("deck.inp", path, version=package_version(), **values)
-    except OSError as error:
-        raise InputError(f"cannot write to {path}: {error.strerror or error}") from error
     return tuple(notices)
 
 

@@ -59,8 +59,7 @@ def calculix(fibres: Fibres, folder: Path, axis: str = "warp") -> tuple[str, ...
     """Write the files for CalculiX, local 1 along `axis`; notices."""
     if axis not in AXES:
         raise InputError(f"axis must be one of {', '.join(AXES)}, got {axis!r}")
-    warp, weft, shear = moduli(fibres)
-    E = {"warp": (warp, weft), "weft": (weft, warp), "bisector": (0.5 * (warp + weft),) * 2}[axis]
+    E, shear = moduli_along(fibres, axis)
     fill_files(
         *("calculix", fibres, folder, {"FORMED": (CALCULIX, 0)}),
         labels=fibres.target.elements[fibres.known],
@@ -107,6 +106,13 @@ def axes_of(fibres: Fibres, axis: str) -> FloatArray:
     """(k, 6) local 1 along a fibre and local 2 at a right angle to it in the element's plane."""
     along = getattr(fibres, axis)[fibres.known]
     return np.hstack([along, np.cross(fibres.target.normals[fibres.known], along)])
+
+
+def moduli_along(fibres: Fibres, axis: str) -> tuple[tuple[float, float], float]:
+    """The same along local 1, which is `axis`, and 2; and in shear."""
+    warp, weft, shear = moduli(fibres)
+    along = {"warp": (warp, weft), "weft": (weft, warp), "bisector": (0.5 * (warp + weft),) * 2}
+    return along[axis], shear
 
 
 def moduli(fibres: Fibres) -> tuple[float, float, float]:

@@ -20,7 +20,7 @@ import numpy as np
 
 from ..checks import InputError
 from .fibres import AXES, Fibres
-from .inp import SHELLS, axes_of, density, fill_files, moduli
+from .inp import SHELLS, axes_of, density, fill_files, moduli_along
 from .keywords import NOTICES
 
 CODES = {"abaqus": SHELLS, "calculix": {6: "S6", 8: "S8R"}}
@@ -70,8 +70,7 @@ def _layers(plies: Sequence[Fibres], known: np.ndarray) -> list[list[Layer]]:
 
 def _material(ply: Fibres, number: int, axis: str) -> dict[str, object]:
     """Stand-in for a ply, linear with the constants of the flat, dry fabric at rest."""
-    warp, weft, shear = moduli(ply)
-    E = {"warp": (warp, weft), "weft": (weft, warp), "bisector": (0.5 * (warp + weft),) * 2}[axis]
+    E, shear = moduli_along(ply, axis)
     flat = f"flat {ply.fabric['thickness']:g} mm, {ply.fabric['areal_weight']:g} g/m²"
     words = f"PLY_{number}: {ply.name.partition(', ')[2] or 'the only ply'}, "
     words += f"fabric {ply.fabric.get('name', '')}, {flat}" + ", joined" * (ply.joined > 1)

@@ -18,6 +18,7 @@ import numpy as np
 
 from ..checks import InputError, check_number, optional
 from ..comparison.mapping import beyond_edge, on_surface, spacing
+from ..net.slits import joined
 from ..result.files import replaced
 from ..result.sheet import FormedSheet
 from ..tables import read_table
@@ -163,11 +164,8 @@ def cut_lines(sheet: FormedSheet) -> tuple[list[FloatArray], list[FloatArray]]:
     ends, count = np.unique(np.sort(np.vstack(steps), axis=1), axis=0, return_counts=True)
     if count.max() == 1:
         return [sheet.flat[loop] for loop in sheet.loops], []
-    found = []
-    for part in (ends[count == 1], ends[count > 1]):
-        merged = shapely.line_merge(shapely.multilinestrings(shapely.linestrings(flat[part])))
-        found.append([shapely.get_coordinates(line) for line in shapely.get_parts(merged)])
-    return sorted(found[0], key=lambda line: -shapely.Polygon(line).area), found[1]
+    edges, slits = (joined(flat[part]) for part in (ends[count == 1], ends[count > 1]))
+    return sorted(edges, key=lambda line: -shapely.Polygon(line).area), slits
 
 
 def _without_dxf() -> list[str]:
@@ -260,8 +258,7 @@ def _seen(sheet: FormedSheet, plan: shapely.Polygon, notices: list[str]) -> list
     ends = points[segment.reshape(-1, 2)]
     chord = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).max()
     notices.append(f"the line is straight between edges of triangles, up to {chord:.3g} mm long")
-    merged = shapely.line_merge(shapely.multilinestrings(shapely.linestrings(ends)))
-    lines = [shapely.get_coordinates(line) for line in shapely.get_parts(merged)]
+    lines = joined(ends)
     if not all(map(_closed, lines)):
         notices.append("the trim line leaves the sheet: what is left of it does not close")
     return sorted(lines, key=lambda line: -shapely.Polygon(line).area if len(line) > 3 else 0.0)

@@ -6,11 +6,11 @@ the element's normal, as THETA of Nastran's CTRIA3 and CQUAD4 does.
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 
 import numpy as np
 
+from ..tables import write_rows
 from .fibres import AXES, Fibres
 from .keywords import NOTICES
 
@@ -26,13 +26,12 @@ def table(fibres: Fibres, folder: Path) -> tuple[str, ...]:
     vectors = {f"{c}_mm": column for c, column in zip("xyz", target.centroids.T, strict=True)}
     for axis in AXES:
         vectors |= dict(zip([f"{axis}_{c}" for c in "xyz"], getattr(fibres, axis).T, strict=True))
-    with (folder / f"{fibres.prefix}fibres.csv").open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(["element", *values, *(f"n{k}" for k in (1, 2, 3, 4)), *vectors])
-        for row in np.flatnonzero(fibres.known):
-            cells = [target.elements[row], *(f"{column[row]:.7g}" for column in values.values())]
-            cells += ["" if c < 0 else target.nodes[c] for c in target.corners[row]]
-            writer.writerow([*cells, *(f"{column[row]:.9g}" for column in vectors.values())])
+    rows = [["element", *values, *(f"n{k}" for k in (1, 2, 3, 4)), *vectors]]
+    for row in np.flatnonzero(fibres.known):
+        cells = [target.elements[row], *(f"{column[row]:.7g}" for column in values.values())]
+        cells += ["" if c < 0 else target.nodes[c] for c in target.corners[row]]
+        rows.append([*cells, *(f"{column[row]:.9g}" for column in vectors.values())])
+    write_rows(folder / f"{fibres.prefix}fibres.csv", rows)
     return (NOTICES["theta"],)
 
 

@@ -217,9 +217,7 @@ def report(
 ) -> Fit:
     """Intervals from the curvature at the minimum, wider where the residuals are correlated."""
     p, J, r = found.x, found.jac, found.fun
-    law, freedom = unknowns.law(p), max(len(r) - len(p), 1)
-    lag = float(np.clip((r[1:] @ r[:-1]) / max(r @ r, 1e-300), 0.0, 0.95))
-    variance = float(r @ r) / freedom * (1 + lag) / (1 - lag)
+    law = unknowns.law(p)
     size = np.linalg.norm(J, axis=0)
     size = np.maximum(size, 1e-12 * size.max())
     _, s, Vt = np.linalg.svd(J / size, full_matrices=False)
@@ -227,9 +225,9 @@ def report(
     share = native / size @ Vt.T  # of each direction in each parameter
     unseen = s < UNSEEN * s[0]  # such a direction does not change the forces
     part = np.abs(share[:, unseen]) > ROUND_OFF * np.linalg.norm(share, axis=1, keepdims=True)
-    deviation = np.sqrt(variance) * np.linalg.norm(share[:, ~unseen] / s[~unseen], axis=1)
+    deviation = np.sqrt(variance(J, r)) * np.linalg.norm(share[:, ~unseen] / s[~unseen], axis=1)
     deviation[part.any(axis=1)] = np.inf
-    reach = sp.special.stdtrit(freedom, 0.975) * deviation
+    reach = sp.special.stdtrit(max(len(r) - len(p), 1), 0.975) * deviation
     parameters = []
     for name, half in zip(NAMES, reach.tolist(), strict=True):
         value = float(getattr(law, name))
@@ -241,6 +239,12 @@ def report(
             state = "fitted" if half < value else "not identified"
         parameters.append(_parameter(name, value, half, state))
     return Fit(law, tuple(parameters), relative_misfit(tests, law))
+
+
+def variance(J: FloatArray, r: FloatArray) -> float:
+    """Variance of residuals (n,) with derivatives (n, k); larger where they are correlated."""
+    lag = float(np.clip((r[1:] @ r[:-1]) / max(r @ r, 1e-300), 0.0, 0.95))
+    return float(r @ r) / max(len(r) - J.shape[1], 1) * (1 + lag) / (1 - lag)
 
 
 def _parameter(name: str, value: float, half: float, state: str) -> Parameter:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import json
 from collections.abc import Iterable, Iterator, Mapping
@@ -18,6 +17,7 @@ from ..checks import FORMAT, naming
 from ..fabric import Fabric, MomentCurve
 from ..result.files import replaced
 from ..result.summary import package_version
+from ..tables import write_rows
 from .campaign import ASSUMED, METHODS, VALUES, Campaign, load
 from .cantilever import Stiffness
 from .energy_method import StressCurve, energy_method
@@ -267,5 +267,4 @@ def _write(path: Path, head: Iterable[str], rows: Iterable[Iterable[Any]]) -> No
     def cell(value: Any) -> Any:
         return value if not isinstance(value, float) else f"{value:.8g}" if isfinite(value) else ""
 
-    with path.open("w", newline="", encoding="utf-8") as file:
-        csv.writer(file).writerows([head, *(map(cell, row) for row in rows)])
+    write_rows(path, [head, *(map(cell, row) for row in rows)])

@@ -131,36 +131,56 @@ class Sheet:
 
     def residual(self, unknowns: Unknowns, p: FloatArray) -> tuple[FloatArray, FloatArray]:
         """As `Forces.residual`; infinite where the test has no equilibrium under this law."""
-        law, sigma = unknowns.law(p), self.sigma
         try:
-            states = self.states(law)
-            slopes = [self._slopes(x, unknowns, p) for x in states]
+            states = self.states(unknowns.law(p))
+            slopes = [self._slopes(x, self._rate(x), unknowns, p) for x in states]
         except NotConvergedError:
             return np.full(self.rows, np.inf), np.full((self.rows, len(p)), np.nan)
         dforce, dangle = (np.array(part) for part in zip(*slopes, strict=True))
-        # force(u) = ratio(u) balance(u), the ratio interpolated
-        points, rows = self.at_points.predicted(law), self.at_rows.predicted(law)
-        ratio = np.array([self._force(x) for x in states]) / points
-        dratio = dforce - ratio[:, None] * unknowns.slopes(p, self.at_points.predicted)
-        dratio /= points[:, None]
-        r = (self.to_rows @ ratio * rows - self.force) / sigma
-        J = (self.to_rows @ ratio)[:, None] * unknowns.slopes(p, self.at_rows.predicted)
-        J = (J + rows[:, None] * (self.to_rows @ dratio)) / sigma[:, None]
+        force = np.array([self._force(x) for x in states])
+        r, J = self._misfit(force, dforce, unknowns, p)
         if not self.with_angle:
             return r, J
         angle = np.radians([self.angle(x) for x in states])
         off = (self.to_rows @ angle - self.curve.shear_angle) / ANGLE_SIGMA
         return np.append(r, off), np.vstack([J, self.to_rows @ dangle / ANGLE_SIGMA])
 
-    def _slopes(
-        self, x: FloatArray, unknowns: Unknowns, p: FloatArray
+    def _misfit(
+        self, force: FloatArray, dforce: FloatArray, unknowns: Unknowns, p: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Derivatives (k,) of the force (N) and of the centre angle (rad) by the unknowns."""
-        model, equilibrium, membrane = self.model, self.equilibrium, self.model.membrane
-        free = equilibrium.free
-        v = np.where(model.fixed, model.drive, 0.0)
-        _, load = equilibrium.factor(x, False, motion=v)
-        v[free] = -equilibrium.tangent.solve(load)
+        """Residuals of the rows, and their derivatives, from forces at the points and theirs."""
+        # force(u) = ratio(u) balance(u), the ratio interpolated
+        law, sigma = unknowns.law(p), self.sigma
+        points, rows = self.at_points.predicted(law), self.at_rows.predicted(law)
+        ratio = force / points
+        dratio = dforce - ratio[:, None] * unknowns.slopes(p, self.at_points.predicted)
+        dratio /= points[:, None]
+        r = (self.to_rows @ ratio * rows - self.force) / sigma
+        J = (self.to_rows @ ratio)[:, None] * unknowns.slopes(p, self.at_rows.predicted)
+        return r, (J + rows[:, None] * (self.to_rows @ dratio)) / sigma[:, None]
+
+    def _rate(self, x: FloatArray) -> FloatArray:
+        """(n_dofs,) derivative of the state by the displacement; factors the tangent at x."""
+        v = np.where(self.model.fixed, self.model.drive, 0.0)
+        _, load = self.equilibrium.factor(x, False, motion=v)
+        v[self.equilibrium.free] = -self.equilibrium.tangent.solve(load)
+        return v
+
+    def _angle_slope(self, x: FloatArray, g: FloatArray) -> float:
+        """Derivative of the centre angle, rad, where that of all forces is g (n_dofs,).
+
+        The tangent at x is factored.
+        """
+        dx, free = np.zeros(len(x)), self.equilibrium.free
+        dx[free] = -self.equilibrium.tangent.solve(g[free])
+        h = 1e-3 / max(np.abs(dx).max(), 1e-300)
+        return np.radians((self.angle(x + h * dx) - self.angle(x - h * dx)) / (2 * h))
+
+    def _slopes(
+        self, x: FloatArray, v: FloatArray, unknowns: Unknowns, p: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Derivatives (k,) of the force (N) and of the centre angle (rad); v is the rate of x."""
+        membrane = self.model.membrane
         f, fv = membrane.fibres(x), membrane.fibres(v)
         I6 = (f[:, 0] * f[:, 1]).sum(1)
         rate = (f[:, 0] * fv[:, 1] + f[:, 1] * fv[:, 0]).sum(1)
@@ -169,8 +189,5 @@ class Sheet:
         for i, column in enumerate(dS12.T if self.with_angle else []):
             push = membrane.g.transpose(0, 2, 1) @ (column[:, None, None] * f[:, ::-1])
             g = np.bincount(membrane.dofs.ravel(), push.ravel(), minlength=len(x))
-            dx = np.zeros(len(x))
-            dx[free] = -equilibrium.tangent.solve(g[free])
-            h = 1e-3 / max(np.abs(dx).max(), 1e-300)
-            dangle[i] = (self.angle(x + h * dx) - self.angle(x - h * dx)) / (2 * h)
-        return rate @ dS12, np.radians(dangle)
+            dangle[i] = self._angle_slope(x, g)
+        return rate @ dS12, dangle

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..draw.plot import DPI, FIRST, SECOND, STYLE, WIDTH
+from ..draw.plot import DPI, FIRST, SECOND, WIDTH, page_style
 from ..fabric import Fabric
 from .energy_method import Forces
 from .specimen import OffAxis
@@ -29,13 +28,11 @@ SHOWN = 60  # points a test
 
 def save_picture(identification: Any, path: str | Path) -> None:
     """Draw an `Identification`: S12 with its band, the laws of test and paper; and the forces."""
-    from matplotlib import rc_context
     from matplotlib.figure import Figure
 
     campaign, curve = identification.campaign, identification.curve
     given, tests = identification.fabric.provenance, len(campaign.shear)
-    with rc_context(STYLE), warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Glyph")  # that the font does not have
+    with page_style():
         height = 3.4 + 0.16 * max(tests + 4, 2 * tests)  # the curves, and a line for each below
         figure = Figure(figsize=(WIDTH, height), layout="constrained")
         stress, forces = figure.subplots(1, 2)

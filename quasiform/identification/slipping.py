@@ -35,11 +35,11 @@ from ..checks import InputError, check_number
 from ..energy.slip import ENDLESS, SlipWidth
 from ..fabric import Fabric, Slip, TabulatedLaw, ThreeStageLaw
 from ..scenes.fabric_tests import off_axis_tension
-from ..solve.equilibrium import Equilibrium, NotConvergedError
+from ..solve.equilibrium import Equilibrium
 from .energy_method import Forces
-from .fit import NAMES, UNSEEN, Fit, Parameter, Trial, report, search
+from .fit import NAMES, UNSEEN, Fit, Parameter, Trial, report, search, variance
 from .fit import Unknowns as LawUnknowns
-from .inverse import ANGLE_SIGMA, POINTS, TOLERANCE, Sheet
+from .inverse import POINTS, TOLERANCE, Sheet
 from .records import Curve
 from .specimen import OffAxis
 
@@ -109,17 +109,6 @@ class SlipUnknowns(LawUnknowns):
         }
         return SlippingLaw(self.of_law.law(p[:n]), replace(self.slip, **found))
 
-    def slopes(self, p: FloatArray, of: Any) -> FloatArray:
-        """Derivatives (..., k) of a function (...) of the shear law, by central differences."""
-        columns = []
-        for i in range(len(self.of_law.start)):
-            step = 1e-6 * max(abs(p[i]), 1e-3)
-            above, below = p.copy(), p.copy()
-            above[i], below[i] = p[i] + step, max(p[i] - step, self.bounds[0, i])
-            columns.append((of(self.law(above)) - of(self.law(below))) / (above[i] - below[i]))
-        columns += [np.zeros_like(columns[0])] * len(self.names)
-        return np.stack(columns, axis=-1)
-
 
 class SlippingSheet(Sheet):
     """The finite-element model of one off-axis test with slip.
@@ -150,22 +139,11 @@ class SlippingSheet(Sheet):
         """(n,) forces of the rows; NotConvergedError as `states`."""
         return self.to_rows @ [self._force(x) for x in self.states(law)]
 
-    def residual(self, unknowns: SlipUnknowns, p: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """As `Sheet.residual`."""
-        try:
-            states = self.states(unknowns.law(p))
-            slopes = [self._slopes(x, unknowns, p) for x in states]
-        except NotConvergedError:
-            return np.full(self.rows, np.inf), np.full((self.rows, len(p)), np.nan)
-        dforce, dangle = (np.array(part) for part in zip(*slopes, strict=True))
-        force = np.array([self._force(x) for x in states])
+    def _misfit(
+        self, force: FloatArray, dforce: FloatArray, unknowns: SlipUnknowns, p: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
         r = (self.to_rows @ force - self.force) / self.sigma
-        J = self.to_rows @ dforce / self.sigma[:, None]
-        if not self.with_angle:
-            return r, J
-        angle = np.radians([self.angle(x) for x in states])
-        off = (self.to_rows @ angle - self.curve.shear_angle) / ANGLE_SIGMA
-        return np.append(r, off), np.vstack([J, self.to_rows @ dangle / ANGLE_SIGMA])
+        return r, self.to_rows @ dforce / self.sigma[:, None]
 
     def states(self, law: SlippingLaw) -> list[FloatArray]:
         """Equilibria at the points; NotConvergedError where there is none."""
@@ -176,23 +154,15 @@ class SlippingSheet(Sheet):
         return super().states(law.shear)
 
     def _slopes(
-        self, x: FloatArray, unknowns: SlipUnknowns, p: FloatArray
+        self, x: FloatArray, v: FloatArray, unknowns: SlipUnknowns, p: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        dforce, dangle = super()._slopes(x, unknowns, p)
-        equilibrium, model, law = self.equilibrium, self.model, unknowns.law(p)
-        free = equilibrium.free
-        v = np.where(model.fixed, model.drive, 0.0)
-        _, load = equilibrium.factor(x, False, motion=v)
-        v[free] = -equilibrium.tangent.solve(load)
+        dforce, dangle = super()._slopes(x, v, unknowns, p)
+        law = unknowns.law(p)
         for i, name in enumerate(unknowns.names, start=len(unknowns.of_law.start)):
             g = getattr(law.slip, name) * self._by(name, x)
             dforce[i] = g @ v
             if self.with_angle:
-                dx = np.zeros(len(x))
-                dx[free] = -equilibrium.tangent.solve(g[free])
-                h = 1e-3 / max(np.abs(dx).max(), 1e-300)
-                rise = self.angle(x + h * dx) - self.angle(x - h * dx)
-                dangle[i] = np.radians(rise / (2 * h))
+                dangle[i] = self._angle_slope(x, g)
         return dforce, dangle
 
     def _by(self, name: str, x: FloatArray) -> FloatArray:
@@ -271,8 +241,7 @@ def identify_with_slip(
         SlippingSheet(*test[:2], fabric, size, slip) if isinstance(test[0], OffAxis) else test[2]
         for test in tests
     ]
-    EA = 4.0 * float(fabric.warp.stiffness(np.ones(1), 1.0)[0]) * fabric.thickness
-    models += [replace(test, EA=EA) for test in pulled]
+    models += [replace(test, EA=_stiffness(fabric)) for test in pulled]
     top = max(float(np.sin(forces.angles).max()) for *_, forces in tests)
     free = NAMES if start.law.I_lo < top else NAMES[:4]
     unknowns = SlipUnknowns(LawUnknowns(start.law, free), slip)
@@ -294,6 +263,11 @@ def identify_with_slip(
     )
 
 
+def _stiffness(fabric: Fabric) -> float:
+    """EA of the warp per width, N/mm."""
+    return 4.0 * float(fabric.warp.stiffness(np.ones(1), 1.0)[0]) * fabric.thickness
+
+
 def next_test(trial: Trial, strips: Sequence[OffAxis], fabric: Fabric, size: float) -> str:
     """Sentence on the further test that would narrow the wider interval of K and τ most."""
     unknowns, found = trial
@@ -311,7 +285,7 @@ def next_test(trial: Trial, strips: Sequence[OffAxis], fabric: Fabric, size: flo
             curve = Curve(np.ones(20), at, None, np.ones(20))
             sheet = SlippingSheet(strip, curve, fabric, size, law.slip)
             offers[f"an off-axis test at {angle:g}°"] = sheet
-    EA = 4.0 * float(fabric.warp.stiffness(np.ones(1), 1.0)[0]) * fabric.thickness
+    EA = _stiffness(fabric)
     if np.isfinite(law.slip.resistance):
         end = 2.0 * (law.slip.resistance / law.slip.stiffness + law.slip.resistance * 1e4 / EA)
         offers["a pull-out test over 100 mm"] = PullOut(
@@ -371,19 +345,15 @@ def profiled(models: Sequence[Any], found: Trial) -> tuple[Trial, list[tuple[flo
         covariance, lowest, ends = _covariance(fitted.jac, fitted.fun), fitted.cost, []
         for i in range(len(unknowns.of_law.start), len(fitted.x)):
             wide = 1.96 * float(np.sqrt(covariance[i, i]))
-            tried = (
-                [
-                    _held(models, found, covariance[:, i] / covariance[i, i] * end, i)
-                    for end in (-wide, wide)
-                ]
-                if wide < SURE
-                else [(np.inf, fitted.x)] * 2
-            )
+            tried = [(np.inf, fitted.x)] * 2
+            if wide < SURE:
+                along = covariance[:, i] / covariance[i, i]
+                tried = [_held(models, found, along * end, i) for end in (-wide, wide)]
             for cost, p in tried:
                 if cost < LOWER * lowest:
                     lowest, unknowns.start = cost, p
             rises = [2 * max(cost - fitted.cost, 0.0) for cost, _ in tried]
-            roots = np.sqrt(np.array(rises) / _variance(fitted.jac, fitted.fun))
+            roots = np.sqrt(np.array(rises) / variance(fitted.jac, fitted.fun))
             bent = np.where(np.isfinite(roots), roots / 1.96 - 1.0, 0.0)
             # root = 1.96 (t + bent t²) at t of the end
             t = 2.0 / (1.0 + np.sqrt(np.maximum(1.0 + 4.0 * bent, 0.0)))
@@ -412,17 +382,11 @@ def _held(
     return best.cost, p
 
 
-def _variance(J: FloatArray, r: FloatArray) -> float:
-    """Variance of the residuals (n,); larger where these are correlated."""
-    lag = float(np.clip((r[1:] @ r[:-1]) / max(r @ r, 1e-300), 0.0, 0.95))
-    return float(r @ r) / max(len(r) - J.shape[1], 1) * (1 + lag) / (1 - lag)
-
-
 def _covariance(J: FloatArray, r: FloatArray) -> FloatArray:
     """(k, k) of the numbers; infinite if unseen."""
     size = np.linalg.norm(J, axis=0)
     seen = size > UNSEEN * size.max()
     found = np.diag(np.full(len(size), 1e8))
     pseudo = np.linalg.pinv(J[:, seen].T @ J[:, seen], hermitian=True)
-    found[np.ix_(seen, seen)] = _variance(J, r) * pseudo
+    found[np.ix_(seen, seen)] = variance(J, r) * pseudo
     return found

@@ -120,12 +120,6 @@ class Shells:
         sort = np.lexsort((row := np.concatenate(rows), np.concatenate(order)))
         return np.concatenate(triangles)[sort], row[sort]
 
-    def chosen(self, rows: np.ndarray, why: Mapping[str, int] | None = None) -> Shells:
-        """Some of the elements, by index or mask (m,), and `why` the others are left out."""
-        left_out = {**self.left_out, **(why or {})}
-        parts = {"corners": self.corners[rows], "elements": self.elements[rows]}
-        return replace(self, **parts, middles=self.middles[rows], left_out=left_out)
-
     def kept_nodes(self, known: Container[int]) -> IntArray:
         """(m,) nodes that an element has in a code that knows types of `known` numbers of nodes.
 
@@ -208,10 +202,10 @@ def counted(left_out: Mapping[str, int]) -> str:
     return ", ".join(f"{count} {kind}" for kind, count in left_out.items())
 
 
-def read_shells(path: str | Path, scale: float = 1.0, most: int = 4) -> Shells:
+def read_shells(path: str | Path, scale: float = 1.0) -> Shells:
     """Read the shell elements of a structural mesh: .inp, or what meshio reads.
 
-    `scale` is mm per unit of its lengths. Elements of more than `most` corners are left out.
+    `scale` is mm per unit of its lengths. Elements of more than four corners are left out.
     """
     path = Path(path)
     with naming(path):
@@ -219,9 +213,11 @@ def read_shells(path: str | Path, scale: float = 1.0, most: int = 4) -> Shells:
         check_number("scale", scale)
         inp = path.suffix.lower() == ".inp"
         shells = Shells(**read_inp(path)) if inp else Shells.of_mesh(read_mesh(path))
-        if (large := shells.count > most).any():
-            why = {f"polygons of more than {most} corners": int(large.sum())}
-            shells = shells.chosen(~large, why)
+        if large := int((shells.count > 4).sum()):
+            names = ("corners", "elements", "middles")
+            parts = {name: getattr(shells, name)[shells.count <= 4] for name in names}
+            left_out = {**shells.left_out, "polygons of more than 4 corners": large}
+            shells = replace(shells, **parts, left_out=left_out)
         if not len(shells.elements):
             others = f": the file holds {counted(shells.left_out)}" if shells.left_out else ""
             raise InputError(f"no triangles or quadrilaterals{others}")

@@ -33,6 +33,14 @@ def as_lines(slits: Sequence[FloatArray]) -> Any:
     return shapely.transform(divided, as_given)
 
 
+def joined(segments: FloatArray) -> list[FloatArray]:
+    """Lines (k, 2) of segments (n, 2, 2) that meet in their ends."""
+    import shapely
+
+    merged = shapely.line_merge(shapely.multilinestrings(shapely.linestrings(segments)))
+    return [shapely.get_coordinates(line) for line in shapely.get_parts(merged)]
+
+
 def check_slits(outline: Any, slits: Sequence[FloatArray]) -> None:
     """Refuse (InputError) slits outside of an outline or along it, and those that divide it."""
     import shapely

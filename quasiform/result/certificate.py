@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -102,14 +104,12 @@ def certify(result: Outcome) -> Certificate:
     depth, allowed = figures["penetration_mm"], figures["penetration_allowed_mm"]
     chord, radius = figures["fibre_chord_mm"], figures["smallest_radius_mm"]
     size = max(sheet.blank.size for sheet in model.sheets)
-    given, own = result.settings.get("increment"), model.increment
     starts = {name: result.spread.get(name, ROBUST) for name in result.quantities}
-    scattered = [name for name, entry in starts.items() if entry["judged"] > entry["robust"]]
+    scattered = _scattered(starts)
     unjudged = [name for name, entry in starts.items() if not entry["judged"]]
     collapse = f"{result.collapse['travel_mm']:.4g}" if result.collapse else ""
     open_balance = f"energy balance open by {100 * result.energy_balance:.1f} %"
-    steps = f"friction follows its path in increments of {own:g} mm, not {given or 0:g}"
-    too_long = given and model.frictions and given > own * (1 + 1e-6)
+    steps = too_long(model, result.settings.get("increment"))
     unsolved = {  # what is said: whether it is so
         f"residual {result.residual:.1e} of the driving force": not result.residual < RESIDUAL,
         "no pivots from the linear solver": pivots is None,
@@ -128,7 +128,7 @@ def certify(result: Outcome) -> Certificate:
         f"a mesh of {size:.3g} mm is too coarse for the radius of {radius:.1f} mm that the sheet "
         "bends over, half of it allowed": size > FINE * radius,
         f"collapsed from {collapse} mm on": bool(collapse),
-        steps: too_long,
+        steps: bool(steps),
         f"perturbed starts scatter in {', '.join(scattered)}": bool(scattered),
         "perturbed starts do not show whether the numbers are robust: the mesh error is large in "
         f"{', '.join(unjudged)}": bool(unjudged),
@@ -143,8 +143,17 @@ def certify(result: Outcome) -> Certificate:
     return Certificate(not any(unsolved.values()), not reasons, reasons, figures)
 
 
-def _lifted(result: Outcome) -> bool:
-    return result.flange_lift > LIFTED * result.model.sheet.fabric.thickness
+def too_long(model: Model, increment: float | None) -> str:
+    """What is wrong with an increment, mm, that is too long for friction; empty if it is not."""
+    own = model.increment
+    if not increment or not model.frictions or increment <= own * (1 + 1e-6):
+        return ""
+    return f"friction follows its path in increments of {own:g} mm, not {increment:g}"
+
+
+def _scattered(spread: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Numbers that are judged and not robust."""
+    return [name for name, entry in spread.items() if entry["judged"] > entry["robust"]]
 
 
 def wrinkled(result: Outcome) -> bool:
@@ -152,7 +161,7 @@ def wrinkled(result: Outcome) -> bool:
 
     Or whether a sheet without contact has buckled.
     """
-    return (_lifted(result) and _waving(result)) or _buckled(result)
+    return _waving(result) or _buckled(result)
 
 
 def banded(result: Outcome) -> bool:
@@ -165,6 +174,8 @@ def banded(result: Outcome) -> bool:
 
 
 def _waving(result: Outcome) -> bool:
+    if not result.flange_lift > LIFTED * result.model.sheet.fabric.thickness:
+        return False
     return any(result.wrinkles.get(f"waving_{family}_lines") for family in ("warp", "weft"))
 
 
@@ -189,13 +200,13 @@ def one_of_many(result: Outcome) -> str:
             f"the sheet jumped {len(snaps)} time{'s' * (len(snaps) > 1)}, first near "
             f"{snaps[0]['to_mm']:.4g} mm"
         )
-    if _lifted(result) and _waving(result):
+    if _waving(result):
         signs.append(f"the flange lifts by {result.flange_lift:.2f} mm")
     if _buckled(result):
         signs.append(f"the sheet has buckled by {result.wrinkles['buckle_mm']:.3g} mm")
     if banded(result):
         signs.append("the sheet is sheared in bands as narrow as the mesh")
-    if scattered := [k for k, entry in result.spread.items() if entry["judged"] > entry["robust"]]:
+    if scattered := _scattered(result.spread):
         signs.append(f"perturbed starts scatter in {', '.join(scattered)}")
     return "; ".join(signs)
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..energy.plies import pair_name, slip_between
+from ..energy.plies import slip_between
 from ..model import Model
 from ..net.blank import Blank
 from ..net.edges import disc
@@ -241,11 +241,9 @@ class Outcome:
     @property
     def slip_between_plies(self) -> dict[str, float]:
         """99th percentile of the slip between two plies at the end, mm, by their numbers (1_2)."""
-        ends = self.model.x0, self.states[-1].x
-        return {
-            pair_name(c.sheet for c in pair): slip_between(ends[0], pair, ends[1])
-            for pair in self.model.ply_pairs
-        }
+        start, end = self.model.x0, self.states[-1].x
+        named = self.model.named_pairs.items()
+        return {name: slip_between(start, pair, end) for name, pair in named}
 
     def shear_angle_at(self, points: FloatArray) -> FloatArray:
         """(n,) shear angle at (n, 2) points of the flat sheet, degrees; beyond it, the nearest."""

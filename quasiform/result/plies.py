@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..checks import InputError
-from ..energy.plies import PlyContact, pair_name
+from ..energy.plies import PlyContact
 from ..model import Model
 from ..unknowns import Sheet
 from .sheet import FormedSheet
@@ -46,6 +46,11 @@ def in_one(plies: Sequence[FormedSheet]) -> FormedSheet:
     )
 
 
+def numbers_of(sheet: FormedSheet) -> np.ndarray:
+    """(m,) number of the ply of each triangle: the field `ply`, 1 where there is none."""
+    return np.ravel(sheet.cell_fields.get("ply", np.ones(len(sheet.triangles))))
+
+
 def one_of(sheet: FormedSheet, ply: int) -> FormedSheet:
     """One ply of several, all of them for 0; InputError if there is none of that number.
 
@@ -53,8 +58,7 @@ def one_of(sheet: FormedSheet, ply: int) -> FormedSheet:
     """
     if not ply:
         return sheet
-    numbers = np.ravel(sheet.cell_fields.get("ply", np.ones(len(sheet.triangles))))
-    own = numbers == ply
+    own = (numbers := numbers_of(sheet)) == ply
     if not own.any():
         raise InputError(f"no ply {ply} of {int(numbers.max(initial=1))}")
     if own.all():
@@ -72,7 +76,7 @@ def one_of(sheet: FormedSheet, ply: int) -> FormedSheet:
 
 def apart(sheet: FormedSheet) -> list[tuple[np.ndarray, FormedSheet]]:
     """Each ply of a sheet of all, after the numbers of its nodes there."""
-    number = np.ravel(sheet.cell_fields.get("ply", np.ones(len(sheet.triangles))))
+    number = numbers_of(sheet)
     if (number == number[0]).all():
         return [(np.arange(len(sheet.places)), sheet)]
     plies = np.unique(number).astype(int)
@@ -105,16 +109,15 @@ def between_plies(model: Model, x: FloatArray) -> list[dict[str, FloatArray]]:
     """
     plies = [view.sheet for view in model.plies]
     own = {sheet.name: _thickness(sheet, x) for sheet in plies}
-    pairs = [pair for pair in model.ply_pairs if all(c.sheet.name in own for c in pair)]
-    above, below = (_beyond(plies, pairs, x, own, side) for side in (-1.0, 1.0))
+    named = model.named_pairs.items()
+    pairs = {name: pair for name, pair in named if all(c.sheet.name in own for c in pair)}
+    above, below = (_beyond(plies, [*pairs.values()], x, own, side) for side in (-1.0, 1.0))
     found = []
     for sheet in plies:
         fields = {"stack_thickness": above[sheet.name] + own[sheet.name] + below[sheet.name]}
-        for pair in pairs:
+        for name, pair in pairs.items():
             slid = [np.nan_to_num(c.slid(model.x0, x)) for c in pair if c.sheet is sheet]
-            fields[f"slip_{pair_name(c.sheet for c in pair)}"] = (
-                slid[0] if slid else 0.0 * own[sheet.name]
-            )
+            fields[f"slip_{name}"] = slid[0] if slid else 0.0 * own[sheet.name]
         found.append({name: values[sheet.whole[1]] for name, values in fields.items()})
     return found
 

@@ -106,8 +106,8 @@ class FormedSheet:
         """
         if self.points is None or self.flat is None:
             raise InputError(f"{self.name}: needs flat and formed positions")
-        legs = _legs(self.points, self.triangles)
-        a, b = _legs(self.flat, self.triangles).transpose(1, 2, 0)
+        legs = legs_of(self.points, self.triangles)
+        a, b = legs_of(self.flat, self.triangles).transpose(1, 2, 0)
         with np.errstate(divide="ignore", invalid="ignore"):
             inverse = np.array([[b[1], -b[0]], [-a[1], a[0]]]) / (a[0] * b[1] - a[1] * b[0])
         return np.einsum("mki,kjm->mij", legs, inverse)
@@ -392,10 +392,10 @@ def _loops(triangles: np.ndarray, flat: FloatArray) -> list[np.ndarray]:
 
 def _areas(points: FloatArray, triangles: np.ndarray) -> FloatArray:
     """(m,) areas of triangles between (n, 3) points, mm²."""
-    a, b = _legs(points, triangles).transpose(1, 0, 2)
+    a, b = legs_of(points, triangles).transpose(1, 0, 2)
     return 0.5 * np.linalg.norm(np.cross(a, b), axis=1)
 
 
-def _legs(points: FloatArray, triangles: np.ndarray) -> FloatArray:
+def legs_of(points: FloatArray, triangles: np.ndarray) -> FloatArray:
     """(m, 2, dim) vectors from the first corner of each triangle to the others."""
     return points[triangles[:, 1:]] - points[triangles[:, :1]]

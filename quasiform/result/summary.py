@@ -19,6 +19,7 @@ from .measures import (
     slip_account,
 )
 from .outcome import Outcome
+from .sheet import FormedSheet
 from .stability import local_waves
 
 ERRORS = {  # output: the same among the estimated errors
@@ -34,7 +35,6 @@ def summarise(result: Outcome, certificate: Certificate) -> dict[str, Any]:
     """Contents of `summary.json`: numbers that are not finite become None."""
     model, sheet = result.model, result.sheet
     gamma, areas = np.abs(sheet.shear_angle), sheet.flat_areas
-    strain = np.maximum(sheet.cell_fields["E11"], sheet.cell_fields["E22"]).max()
     summary: dict[str, Any] = {
         "case": model.name,
         "version": package_version(),
@@ -55,11 +55,7 @@ def summarise(result: Outcome, certificate: Certificate) -> dict[str, Any]:
         "dofs": int((~model.fixed).sum()),
         "model": [f"{entry}: {why}" for entry, why in result.description],
         model.force_name: result.force,
-        "shear_angle_deg": {
-            "max": float(gamma.max()),
-            "p99": percentile(gamma, areas, 0.99),
-            "mean": float(areas @ gamma / areas.sum()),
-        },
+        "shear_angle_deg": _of_angles(gamma, areas),
         "assumed": assumed(model),
         "error_estimate": {n: result.estimate.get(n) for n in ("shear_angle_deg", model.force_name)}
         | path_errors(result),
@@ -69,7 +65,7 @@ def summarise(result: Outcome, certificate: Certificate) -> dict[str, Any]:
             "energy_balance_relative": result.energy_balance,
             "negative_pivots": result.negative_pivots,
         },
-        "fibre_strain_max": float(np.sqrt(2.0 * strain + 1.0) - 1.0),
+        "fibre_strain_max": _fibre_strain(sheet),
         "collapse": result.collapse,
         "rescues": result.rescues,
         "stabilisation_work_relative": result.stabilisation,
@@ -105,22 +101,29 @@ def path_errors(result: Outcome) -> dict[str, float | None]:
     return {key: result.path_gap.get(name) if result.path else 0.0 for key, name in names.items()}
 
 
+def _of_angles(gamma: np.ndarray, areas: np.ndarray) -> dict[str, float]:
+    """Key numbers of |γ| (n,), degrees, over areas (n,), mm²."""
+    p99 = percentile(gamma, areas, 0.99)
+    mean = float(areas @ gamma / areas.sum())
+    return {"max": float(gamma.max()), "p99": p99, "mean": mean}
+
+
+def _fibre_strain(sheet: FormedSheet) -> float:
+    """Largest elongation of a fibre over its length."""
+    strain = np.maximum(sheet.cell_fields["E11"], sheet.cell_fields["E22"]).max()
+    return float(np.sqrt(2.0 * strain + 1.0) - 1.0)
+
+
 def _of_ply(ply: Outcome) -> dict[str, Any]:
     """Key numbers of one ply of a stack."""
     sheet = ply.model.sheet
-    gamma, areas = np.abs(ply.shear_angle), ply.blank.areas
-    strain = np.maximum(ply.sheet.cell_fields["E11"], ply.sheet.cell_fields["E22"]).max()
     return {
         "fabric": sheet.fabric.name,
         "thickness_mm": sheet.fabric.thickness,
         "nodes": len(sheet.blank.nodes),
         "triangles": len(sheet.blank.triangles),
-        "shear_angle_deg": {
-            "max": float(gamma.max()),
-            "p99": percentile(gamma, areas, 0.99),
-            "mean": float(areas @ gamma / areas.sum()),
-        },
-        "fibre_strain_max": float(np.sqrt(2.0 * strain + 1.0) - 1.0),
+        "shear_angle_deg": _of_angles(np.abs(ply.shear_angle), ply.blank.areas),
+        "fibre_strain_max": _fibre_strain(ply.sheet),
         "draw_in_mm": ply.draw_in,
         "areas": ply.areas,
         "wrinkles": ply.wrinkles,

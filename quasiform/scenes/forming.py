@@ -468,10 +468,8 @@ def _measure(model: Model) -> None:
     for term in model.terms:
         if isinstance(term, Stitches):
             model.measures[f"stitch_{pair_name(term.sheets)}_N"] = term.largest_force
-    for pair in model.ply_pairs:
-        model.measures[f"slip_{pair_name(c.sheet for c in pair)}_mm"] = partial(
-            slip_between, model.x0, pair
-        )
+    for name, pair in model.named_pairs.items():
+        model.measures[f"slip_{name}_mm"] = partial(slip_between, model.x0, pair)
 
 
 def _draw_in(ply: Model, x: np.ndarray) -> float:

@@ -37,13 +37,10 @@ def overridden(table: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[s
             table.pop("fabric", None)
         elif name.startswith("fabric.") and "fabric" not in table:
             table.setdefault("law", "locking")
-        first, *rest = name.split(".")
-        parts = ["blank", name] if name in OF_THE_BLANK else [first, *rest]
+        parts = ["blank", name] if name in OF_THE_BLANK else name.split(".")
         here: Any = table
         for i, part in enumerate(parts[:-1]):
-            if i == 0 and part in MADE:
-                here.setdefault(part, {})
-            elif parts[0] == "fabric":  # its own keys are checked when it is read
+            if (i == 0 and part in MADE) or parts[0] == "fabric":  # which checks its own keys
                 here.setdefault(part, {})
             here = _inner(here, part, name)
         here[_key(here, parts[-1], name)] = value

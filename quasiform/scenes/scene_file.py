@@ -251,7 +251,7 @@ class _Seam(Table):
 
 
 def _seam(table: _Seam) -> Seam:
-    seam = Seam(**{key: getattr(table, key) for key in _Seam.model_fields})
+    seam = Seam(**dict(table))
     _ = seam.places  # refuses what is none
     return seam
 
@@ -272,9 +272,8 @@ def _ply(number: int, table: _Ply, law: str | Fabric, folder: Path) -> Ply:
     own = table.law and (str(folder / table.law) if table.law.endswith(".toml") else table.law)
     if table.fabric is not None:
         own = _fabric(table.fabric, own or law, f"[plies {number}.fabric]")
-    keys = ("orientation", "blank", "offset", "joined", "friction")
-    seams = tuple(table.stitches)
-    return Ply(law=own, stitches=seams, **{key: getattr(table, key) for key in keys})
+    given = {key: value for key, value in table if key != "fabric"}
+    return Ply(**given | {"law": own, "stitches": tuple(table.stitches)})
 
 
 class _Diaphragm(Table):
@@ -293,7 +292,7 @@ def _diaphragm(table: _Diaphragm) -> ElasticSheet:
         raise InputError(f"prestretch must be at least 1, got {table.prestretch:g}")
     if table.prestretch > 1.0 and not table.clamped:
         raise InputError("prestretch needs clamped = true")
-    return ElasticSheet(**{key: getattr(table, key) for key in _Diaphragm.model_fields})
+    return ElasticSheet(**dict(table))
 
 
 # Tools
@@ -325,11 +324,9 @@ class _FromFile(_Tool):
 
 def _part(table: _Tool) -> ToolPart:
     if isinstance(table, _FromFile):
-        values = (getattr(table, key) for key in ("file", *OF_A_FILE))
-        geometry = SurfaceFile(*values)
+        geometry = SurfaceFile(table.file, *(getattr(table, key) for key in OF_A_FILE))
     else:
-        numbers = (getattr(table, key) for key in SHAPES[table.shape][1])
-        geometry = Form(table.shape, tuple(numbers))
+        geometry = Form(table.shape, tuple(getattr(table, key) for key in SHAPES[table.shape][1]))
     motion = table.motion or MOTIONS[table.role]
     values = {key: getattr(table, key) for key in OF_A_TOOL}
     part = ToolPart("", table.role, motion, geometry, **values)
@@ -548,7 +545,7 @@ def _scene(table: dict[str, Any], folder: Path, stem: str) -> SceneFile:
         increment=scene.increments.largest,
         rows=scene.increments.rows,
         outputs=scene.outputs.model_dump(),
-        run={} if scene.run is None else _without_none(scene.run.model_dump()),
+        run={} if scene.run is None else scene.run.model_dump(exclude_none=True),
         standings=schema.standings(table),
         **scene.model_dump(include={"travel", "gravity", "symmetry", "pressure"}),
         **scene.blank,
@@ -572,10 +569,6 @@ def _fabric(table: dict[str, Any], law: str | Fabric, where: str = "[fabric]") -
         return Fabric.read(merged(fabric_of(law).written(), table) if law else table)
     except InputError as error:
         raise InputError(f"{where} {error}") from error
-
-
-def _without_none(table: dict[str, Any]) -> dict[str, Any]:
-    return {key: value for key, value in table.items() if value is not None}
 
 
 def _with_role(name: str, tool: Any) -> dict[str, Any]:

@@ -6,10 +6,9 @@ has not completed is ignored. Shares of a batch array write files of their own, 
 
 from __future__ import annotations
 
-import csv
 import json
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from typing import Any
 from ..checks import InputError
 from ..result.files import Claim, added, writing_to
 from ..result.summary import error_column
+from ..tables import write_rows
 from ..toml_file import dotted_values
 from .fields import MANIFEST, STORE, collect, manifest
 from .plan import Job, Plan
@@ -71,7 +71,8 @@ class Store:
                 if isinstance(content, str):
                     path.write_text(content, encoding="utf-8")
                 elif isinstance(content, Mapping):
-                    _csv(path, list(content), zip(*content.values(), strict=True))
+                    lines = [content, *zip(*content.values(), strict=True)]
+                    write_rows(path, (map(_cell, row) for row in lines))
                 else:
                     content.savefig(path, dpi=DPI)
 
@@ -86,7 +87,8 @@ class Store:
         names = list(_row("", dict.fromkeys(plan.keys), outputs, {}))
         table = {name: [row[name] for row in rows] for name in names}
         with writing_to(self.folder), added(self.folder) as staging:
-            _csv(staging / TABLES[0], names, (row.values() for row in rows))
+            cells = [names, *(row.values() for row in rows)]
+            write_rows(staging / TABLES[0], (map(_cell, row) for row in cells))
             _parquet(table, staging / TABLES[1])
             if plan.study.fields and self.path.name == ROWS:  # shares may end at the same time
                 collect(self.folder, table["run"])
@@ -162,13 +164,6 @@ def _row(
         "factorisations": sum(summary["factorisations"].values()) if summary else None,
         "cpu_s": row.get("cpu_s"),
     }
-
-
-def _csv(path: Path, names: Sequence[str], rows: Iterable[Iterable[Any]]) -> None:
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(names)
-        writer.writerows([_cell(value) for value in row] for row in rows)
 
 
 def _cell(value: Any) -> Any:

@@ -21,7 +21,7 @@ import shapely
 
 from ..checks import number
 from ..comparison.mapping import closest, on_surface, spacing
-from ..result.sheet import FormedSheet
+from ..result.sheet import FormedSheet, legs_of
 from ..scenes import scene_file
 from ..scenes.scene_parts import Region, SceneFile
 from ..toml_file import toml_text
@@ -90,16 +90,10 @@ def flat_of(sheet: FormedSheet, lines: list[FloatArray]) -> list[FloatArray]:
         p = np.nan_to_num(p)  # a line seen along z has none
         flat, _ = on_surface(sheet.flat, seen, p)
         _, corners, x = closest(p, seen)
-        legs = [_legs(points, corners) for points in (sheet.flat, seen.points)]
-        F = legs[1] @ np.linalg.inv(legs[0])
+        a, b = (legs_of(points, corners).swapaxes(1, 2) for points in (sheet.flat, seen.points))
+        F = b @ np.linalg.inv(a)
         found.append(flat + np.einsum("nij,nj->ni", np.linalg.pinv(F), p - x))
     return found
-
-
-def _legs(points: FloatArray, corners: FloatArray) -> FloatArray:
-    """(n, d, 2) legs of triangles."""
-    legs = points[corners[:, 1:]] - points[corners[:, :1]]
-    return legs.transpose(0, 2, 1)
 
 
 def _seen(sheet: FormedSheet, line: FloatArray) -> FormedSheet:

@@ -177,8 +177,11 @@ def surface_grid(
         at = position(centres[lost.argmax()])
         words = f"walls or gaps that a grid of {h:g} mm cannot show, for one at {at} mm"
         size = float(np.ptp(vertices, axis=0).max())
-        small = reach is not None and size < SMALL * reach
-        remedy = likely_unit(size / scale, reach) if small else f"set spacing = {h / 4:.2g} or less"
+        remedy = (
+            likely_unit(size / scale, reach)
+            if size < SMALL * reach
+            else f"set spacing = {h / 4:.2g} or less"
+        )
         raise InputError(f"{words}: {remedy}")
     return grid
 
