@@ -261,7 +261,7 @@ class Model:
         return None
 
     def lost(self, x: FloatArray) -> str:
-        """Why there is no sound sheet any more; empty if there is."""
+        """Why a free tool or a pressure finds no sound sheet any more; empty if it does."""
         tilting = {c.tool.name: c for c in self.contacts if c.tool.tilts}
         for name, contact in tilting.items():
             tilt = np.degrees(np.abs(x[contact.tool_dofs[1:]]).max() / contact.lever)
@@ -269,6 +269,11 @@ class Model:
                 return f"the {name} tilts by more than {MOST_TILT:g} degrees"
             if not any(surrounds(c, x) for c in self.contacts if c.tool.name == name):
                 return f"the sheet no longer surrounds the weight of the {name}"
+        # which a pressure presses together
+        return self.folds(x) if self.pressures else ""
+
+    def folds(self, x: FloatArray) -> str:
+        """Which sheet folds on itself at x, in words; empty if none does."""
         for sheet in self.sheets:
             if sheet.dim == 3 and folds_on_itself(sheet, x):
                 return f"the {sheet.name} folds on itself, and self-contact is not modelled"

@@ -1,5 +1,6 @@
 """Scenes with a pressure on the sheet: its load, mirror planes, records, and what is refused."""
 
+from functools import partial
 from unittest.mock import Mock
 
 import numpy as np
@@ -400,8 +401,12 @@ def test_a_fold_that_touches_itself_is_found():
     assert folds_on_itself(*folded(0.4))
     assert not folds_on_itself(*folded(4.0))
     sheet, x = folded(0.4)
-    model = Mock(sheets=[sheet], contacts=[])
-    assert qf.Model.lost(model, x) == "the sheet folds on itself, and self-contact is not modelled"
+    model = Mock(pressures=[None], sheets=[sheet], contacts=[])
+    model.folds = partial(qf.Model.folds, model)
+    words = "the sheet folds on itself, and self-contact is not modelled"
+    assert qf.Model.lost(model, x) == words
+    model.pressures = []
+    assert qf.Model.lost(model, x) == ""
 
 
 def test_a_scene_with_a_diaphragm_is_written_back(tmp_path):

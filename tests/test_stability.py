@@ -333,3 +333,9 @@ def test_threads_and_linear_solvers_agree():
         np.testing.assert_allclose(other["x"], one["x"], rtol=1e-6, atol=1e-6)
         assert other["force"] == pytest.approx(one["force"], rel=1e-6)
         assert other["mean"] == pytest.approx(one["mean"], rel=1e-6)
+
+
+def test_a_sheet_that_folds_on_itself_is_not_certified(monkeypatch):
+    result = qf.solve(hemisphere(size=10.0, travel=5.0), estimate=False)
+    monkeypatch.setattr("quasiform.model.folds_on_itself", lambda *_: True)
+    assert "the sheet folds on itself, and self-contact is not modelled" in str(result.certified)
