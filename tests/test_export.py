@@ -19,7 +19,7 @@ from quasiform.fabric import TabulatedLaw
 from quasiform.handover import FORMATS, abaqus_deck, carry, export, flat_pattern, read_formed
 from quasiform.handover.handover import FILES
 from quasiform.handover.inp import moduli
-from quasiform.handover.tool_surface import from_scene_file, sampled
+from quasiform.handover.tool_surface import from_file, sampled
 from quasiform.meshes.shells import read_shells
 from quasiform.result.files import FILES as RESULT_FILES
 from quasiform.scenes.scene_file import FOLDER, load
@@ -910,10 +910,16 @@ def test_deck_takes_a_tool_from_a_file_as_it_is(tmp_path):
     np.testing.assert_allclose(nodes[reference][:2], [2.0, 1.0])
     # in a model whose x axis is turned by 30° from the user's, the tool is turned back
     tool = scene.contacts[0].tool
-    turned_back, _ = from_scene_file(tool, scene.parameters, 30.0)
+    turned_back, _ = from_file(tool, scene.recipe.get("file"), 30.0)
     c, s = np.cos(np.radians(30)), np.sin(np.radians(30))
     np.testing.assert_allclose(turned_back[:, 0], c * x[:, 0] + s * x[:, 1], atol=1e-6)
     np.testing.assert_allclose(turned_back[:, 1], c * x[:, 1] - s * x[:, 0], atol=1e-6)
+    half = {"tools.punch.scale": 0.5}
+    scene = qf.forming(str(tmp_path / "part.toml"), orientation=90, size=20, overrides=half)
+    abaqus_deck(scene, tmp_path / "half.inp", spacing=15.0)
+    _, nodes, _, nsets = read_deck(tmp_path / "half.inp")
+    smaller = np.array([nodes[i] for i in sorted(nsets["T_PUNCH_NODES"])])
+    np.testing.assert_allclose(np.ptp(smaller, axis=0), 0.5 * np.ptp(x, axis=0), atol=1e-3)
 
 
 def test_what_a_deck_cannot_hold_is_told(tmp_path):
@@ -1116,6 +1122,12 @@ def test_the_command_prints_what_is_of_this_part_alone(tmp_path, capsys, to):
     assert "several plies" in told
     general = int(re.search(r"(\d+) notes that apply to every such", said)[1])
     assert said.count("  note: ") + general == told.count("\n- ")
+
+
+def test_the_opening_of_the_die_is_that_of_the_run_in_memory():
+    scene = qf.forming(size=31, travel=1.0, overrides={"tools.die.radius": 90.0})
+    (line,) = flat_pattern(qf.solve(scene, estimate=False), "die").trim
+    assert np.abs(np.linalg.norm(line, axis=1) - 90.0).max() < 0.5
 
 
 @pytest.mark.parametrize("where", ["recorded", "beside", "moved away"])

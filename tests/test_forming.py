@@ -846,7 +846,10 @@ def box_file(**tools):
             "orientation must be a number of degrees, got nan",
         ),
         (lambda: qf.forming(orientation="0"), "orientation must be a number of degrees, got '0'"),
-        (lambda: qf.forming(symmetry="all"), "symmetry must be 'auto'.* got 'all'"),
+        (
+            lambda: qf.forming(symmetry="all"),
+            "symmetry must be 'auto', 'half' or 'none', got 'all'",
+        ),
         (lambda: qf.forming(law="lockin"), "unknown law 'lockin': did you mean 'locking'?"),
         (lambda: qf.forming(law=replace(SLIPPERY, bending_weft=0.0)), "needs a bending stiffness"),
         (

@@ -652,6 +652,15 @@ def test_a_stack_with_slits_is_stopped_continued_and_shown(tmp_path, capsys):
     assert "slip between plies 1 and 2" in page
 
 
+def test_the_locking_angle_is_that_of_the_fabric_of_each_ply(tmp_path):
+    other = replace(FABRIC, shear=replace(FABRIC.shear, I_lo=0.5))
+    result = qf.solve(stacked([0, {"fabric": other}], 31.0, 1.0), estimate=False)
+    result.save(tmp_path / "out", pictures=False)
+    for record in (result.record, Record.read(tmp_path / "out")):
+        angles = [ply.locking for ply in record.plies]
+        assert angles == pytest.approx([np.degrees(np.arcsin(FABRIC.shear.I_lo)), 30.0])
+
+
 def test_no_sensitivities_of_a_stack(formed):
     with pytest.raises(qf.InputError, match="several plies"):
         formed.sensitivity(["fabric.friction"])

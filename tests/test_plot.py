@@ -138,7 +138,7 @@ def test_form_draws_tools_and_the_locking_angle(results):
     fabric = dict(run.parameters["fabric"])
     fabric["shear"] = fabric["shear"] | {"I_lo": float(np.sin(np.radians(0.5)))}
     summary = run.summary | {"parameters": run.parameters | {"fabric": fabric}}
-    plot.draw_locking(axes, replace(run, summary=summary))
+    plot.draw_locking(axes, replace(run, summary=summary, model=None))
     assert any(len(c.get_segments()) for c in axes.collections if hasattr(c, "get_segments"))
     bar = Figure().subplots()
     plot.mark_locking(bar, [run], 60.0)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..draw.plot import COLOURS, DPI, FIRST, SCALES, SECOND, STYLE, WIDTH
+from ..draw.plot import COLOURS, DPI, FIRST, SCALES, SECOND, WIDTH, page_style
 from .mapping import ANGLE, SIDES
 from .place import rim
 
@@ -44,14 +44,13 @@ def draw(
     locking: tuple[float, ...],
 ) -> None:
     """Write the picture of a comparison as PNG; the arguments are as in `Comparison`."""
-    from matplotlib import rc_context
     from matplotlib.figure import Figure
 
     fields = fields_of(sheets, field, gamma)
     panels = list(fields) or ["outlines"]
     angle = "γ" if any(np.nanmin(fields[side][1]) < 0 for side in SIDES if fields) else "|γ|"
     panels += ["force"] if forces is not None and forces.shape[1] > 1 else []
-    with rc_context(STYLE):
+    with page_style():
         columns = min(len(panels), 2)
         rows = -(-len(panels) // columns)
         figure = Figure(figsize=(WIDTH, 2.9 * rows), layout="constrained")

@@ -314,7 +314,7 @@ class Scene:
     """Spacing of the fibre lines. `form` then follows the whole path on this mesh. By default that
     of the scene, or 5, or finer where a fillet needs it."""
     travel: Annotated[Length | None, about("Travel of the punch.")] = None
-    symmetry: Literal["auto", "none"] | None = None
+    symmetry: Literal["auto", "half", "none"] | None = None
     """Model a half or a quarter where everything is mirrored (auto), or always the whole."""
     set: Overrides | None = None
     """Another value of a key of the scene, such as tools.holder.mass=8 or fabric.friction=0.2."""

@@ -13,7 +13,6 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-from matplotlib import rc_context
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
@@ -105,7 +104,7 @@ def _numbers(
 def _pictures(run: Record) -> dict[str, bytes]:
     """PNG of each picture."""
     found = {}
-    with rc_context(plot.STYLE):
+    with plot.page_style():
         for name, picture in plot.FIGURES.items():
             drawn = picture(run)
             drawn.suptitle("")  # the page says it once
@@ -116,7 +115,7 @@ def _pictures(run: Record) -> dict[str, bytes]:
 
 def _on_paper(found: dict[str, Any], pictures: dict[str, bytes]) -> Figure:
     """The page as a figure of A4 size."""
-    with rc_context(plot.STYLE):
+    with plot.page_style():
         page = Figure(figsize=A4)
         look = {"va": "top", "parse_math": False}
         page.text(0.07, 0.965, found["title"], size=15, weight="bold", **look)

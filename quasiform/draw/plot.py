@@ -71,7 +71,7 @@ DOUBTS = {  # colour, meaning and advice; later ones lie over earlier ones
     "rovings_may_slip": (
         "#807dba",
         "angle changes faster than {slip:g}°/mm: rovings may slip",
-        "expect smaller angles, or give the fabric [slip]",
+        "the real angles there are smaller or larger: do not use them",
     ),
     "beyond_identified_range": (
         "#fdae61",

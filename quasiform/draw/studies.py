@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib import rc_context
 from matplotlib.colors import to_rgba_array
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -16,7 +15,7 @@ from matplotlib.patches import Patch
 from ..checks import number
 from ..result.summary import error_column
 from . import plot
-from .plot import CURVE, FIRST, SECOND, STOP, STYLE, THEORY, new_figure
+from .plot import CURVE, FIRST, SECOND, STOP, THEORY, new_figure
 
 if TYPE_CHECKING:
     from ..result.sheet import FormedSheet
@@ -47,7 +46,7 @@ def styled(draw: Callable[..., Figure]) -> Callable[..., Figure]:
     """Draw with the style of the pages."""
 
     def drawn(*args: Any, **options: Any) -> Figure:
-        with rc_context(STYLE):
+        with plot.page_style():
             figure = draw(*args, **options)
             figure.canvas.draw()  # texts take their size from the style
             return figure

@@ -29,7 +29,7 @@ from ..result.summary import package_version
 from ..tools.shapes import Tool
 from .inp import DENSITY
 from .keywords import fill, render
-from .tool_surface import fine_enough, from_scene_file, sampled
+from .tool_surface import fine_enough, from_file, sampled
 
 FloatArray = np.ndarray
 SPEED = 1000.0  # mm/s, mean of the punch
@@ -230,7 +230,7 @@ def _triangles(
 ) -> tuple[FloatArray, np.ndarray, tuple[float, ...]]:
     """Vertices and triangles of a tool in its own frame, and how it was sampled (`_Rigid`)."""
     tool, origin = contact.tool, contact.origin(model.x0)
-    given = from_scene_file(tool, model.parameters, model.sheet.turn)
+    given = from_file(tool, model.recipe and model.recipe.get("file"), model.sheet.turn)
     if given is not None:
         return *given, ()
     deep = model.travel if model.travel_name == "travel_mm" else np.ptp(places, axis=0).max()

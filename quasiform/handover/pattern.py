@@ -274,7 +274,9 @@ def _opening(record: Record) -> shapely.Polygon:
     name = record.parameters.get("scene")
     if not isinstance(name, str):
         raise InputError("the result is of no forming scene: give the trim line by its points")
-    for tool in scene_file.load(record.scene).tools:
+    recipe = record.model and record.model.recipe
+    file = recipe.get("file") if recipe else scene_file.load(record.scene)
+    for tool in file.tools:
         if tool.role == "die" and isinstance(tool.shape, Opening):
             hole = tool.shape.hole
             core = shapely.MultiPoint(hole.core[:, :2]).convex_hull

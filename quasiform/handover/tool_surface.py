@@ -8,14 +8,13 @@ radius r.
 
 from __future__ import annotations
 
-from contextlib import suppress
 from typing import Any
 
 import numpy as np
 
 from ..checks import InputError, optional
 from ..net.blank import rotation
-from ..scenes import scene_file
+from ..scenes.scene_parts import SceneFile
 from ..tools.mending import normals_of
 from ..tools.shapes import Shape, Tool
 from ..tools.surface_file import SurfaceFile
@@ -83,17 +82,16 @@ def sampled(
     return vertices[used], triangles.reshape(-1, 3), spacing, float(off)
 
 
-def from_scene_file(tool: Tool, parameters: dict[str, Any], turn: float) -> Any:
-    """Vertices and triangles of a tool that the scene's file takes from a surface, or None.
+def from_file(tool: Tool, file: SceneFile | None, turn: float) -> Any:
+    """Vertices and triangles of a tool that a scene takes from a surface, or None.
 
     They are in the model's axes, `turn` degrees from the user's.
     """
-    with suppress(InputError):
-        for part in scene_file.load(str(parameters.get("scene"))).tools:
-            if part.name == tool.name and isinstance(part.shape, SurfaceFile):
-                vertices, triangles, _ = part.shape.placed()
-                vertices[:, :2] = vertices[:, :2] @ rotation(turn)
-                return vertices, triangles
+    for part in file.tools if file else ():
+        if part.name == tool.name and isinstance(part.shape, SurfaceFile):
+            vertices, triangles, _ = part.shape.placed()
+            vertices[:, :2] = vertices[:, :2] @ rotation(turn)
+            return vertices, triangles
     return None
 
 

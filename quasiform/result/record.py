@@ -266,8 +266,8 @@ class Record:
     @property
     def locking(self) -> float | None:
         """Shear angle at which the fabric locks, degrees; None for a law without locking."""
-        fabric = self.parameters.get("fabric")
-        return _locking((fabric.get("shear") if isinstance(fabric, dict) else None) or {})
+        shear = self.fabric.get("shear") or {}
+        return _locking(shear if isinstance(shear, Mapping) else vars(shear))
 
     def of_ply(self, ply: int) -> Record:
         """Return the run with the sheets of another ply; InputError if there is none."""

@@ -119,7 +119,7 @@ def forming(
         raise InputError(f"orientation must be a number of degrees, got {orientation!r}")
     symmetry = symmetry or file.symmetry
     if symmetry not in ("auto", "half", "none"):
-        raise InputError(f"symmetry must be 'auto' or 'none', got {symmetry!r}")
+        raise InputError(f"symmetry must be 'auto', 'half' or 'none', got {symmetry!r}")
     goal = file.travel if travel is None else float(check_number("travel", travel))
     if goal > file.travel:
         raise InputError(
