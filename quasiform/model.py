@@ -13,7 +13,7 @@ from .energy.contact import Contact, surrounds
 from .energy.diaphragm import Diaphragm
 from .energy.friction import Friction
 from .energy.membrane import Membrane
-from .energy.plies import PlyContact, folds_on_itself, pair_name
+from .energy.plies import PlyContact, folds, pair_name
 from .energy.pressure import Pressure
 from .energy.slip import SlipResistance
 from .energy.term import Term
@@ -270,14 +270,7 @@ class Model:
             if not any(surrounds(c, x) for c in self.contacts if c.tool.name == name):
                 return f"the sheet no longer surrounds the weight of the {name}"
         # which a pressure presses together
-        return self.folds(x) if self.pressures else ""
-
-    def folds(self, x: FloatArray) -> str:
-        """Which sheet folds on itself at x, in words; empty if none does."""
-        for sheet in self.sheets:
-            if sheet.dim == 3 and folds_on_itself(sheet, x):
-                return f"the {sheet.name} folds on itself, and self-contact is not modelled"
-        return ""
+        return folds(self.sheets, x) if self.pressures else ""
 
     def turned_over(self, x: FloatArray, trial: FloatArray) -> bool:
         """Whether a triangle is turned over between two states."""

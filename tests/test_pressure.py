@@ -1,6 +1,5 @@
 """Scenes with a pressure on the sheet: its load, mirror planes, records, and what is refused."""
 
-from functools import partial
 from unittest.mock import Mock
 
 import numpy as np
@@ -402,7 +401,6 @@ def test_a_fold_that_touches_itself_is_found():
     assert not folds_on_itself(*folded(4.0))
     sheet, x = folded(0.4)
     model = Mock(pressures=[None], sheets=[sheet], contacts=[])
-    model.folds = partial(qf.Model.folds, model)
     words = "the sheet folds on itself, and self-contact is not modelled"
     assert qf.Model.lost(model, x) == words
     model.pressures = []

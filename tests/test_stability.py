@@ -337,5 +337,5 @@ def test_threads_and_linear_solvers_agree():
 
 def test_a_sheet_that_folds_on_itself_is_not_certified(monkeypatch):
     result = qf.solve(hemisphere(size=10.0, travel=5.0), estimate=False)
-    monkeypatch.setattr("quasiform.model.folds_on_itself", lambda *_: True)
+    monkeypatch.setattr("quasiform.energy.plies.folds_on_itself", lambda *_: True)
     assert "the sheet folds on itself, and self-contact is not modelled" in str(result.certified)

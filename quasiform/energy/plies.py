@@ -419,6 +419,14 @@ def slip_between(start: FloatArray, pair: Sequence[PlyContact], x: FloatArray) -
     return percentile(slid[known], area[known], 0.99) if known.any() else 0.0
 
 
+def folds(sheets: Iterable[Sheet], x: FloatArray) -> str:
+    """Which sheet folds on itself at x, in words; empty if none does."""
+    for sheet in sheets:
+        if sheet.dim == 3 and folds_on_itself(sheet, x):
+            return f"the {sheet.name} folds on itself, and self-contact is not modelled"
+    return ""
+
+
 def folds_on_itself(sheet: Sheet, x: FloatArray) -> bool:
     """Whether a node is nearer than half a thickness to a distant place of its own sheet."""
     blank, places = sheet.blank, sheet.positions(x)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..checks import number
+from ..energy.plies import folds
 from ..model import Model
 from .measures import (
     LIFTED,
@@ -109,7 +110,7 @@ def certify(result: Outcome) -> Certificate:
     unjudged = [name for name, entry in starts.items() if not entry["judged"]]
     collapse = f"{result.collapse['travel_mm']:.4g}" if result.collapse else ""
     open_balance = f"energy balance open by {100 * result.energy_balance:.1f} %"
-    steps, folds = too_long(model, result.settings.get("increment")), model.folds(x)
+    steps, folded = too_long(model, result.settings.get("increment")), folds(model.sheets, x)
     unsolved = {  # what is said: whether it is so
         f"residual {result.residual:.1e} of the driving force": not result.residual < RESIDUAL,
         "no pivots from the linear solver": pivots is None,
@@ -128,7 +129,7 @@ def certify(result: Outcome) -> Certificate:
         f"a mesh of {size:.3g} mm is too coarse for the radius of {radius:.1f} mm that the sheet "
         "bends over, half of it allowed": size > FINE * radius,
         f"collapsed from {collapse} mm on": bool(collapse),
-        folds: bool(folds),
+        folded: bool(folded),
         steps: bool(steps),
         f"perturbed starts scatter in {', '.join(scattered)}": bool(scattered),
         "perturbed starts do not show whether the numbers are robust: the mesh error is large in "
