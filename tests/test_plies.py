@@ -713,7 +713,7 @@ def test_plies_without_friction_slide_by_the_difference_of_their_exact_nets():
     """Each net is the exact one on the sphere of its own mean surface."""
     law = replace(qf.Fabric.preset("locking"), friction=0.0)
     plies = [0, {"orientation": 45.0, "friction": 0.0}]
-    model = qf.forming("hemisphere", law=law, size=10.0, travel=30.0, plies=plies)
+    model = qf.forming("hemisphere", law=law, size=10.0, travel=25.0, plies=plies)
     result = qf.solve(model, estimate=False)
     assert result.status == "completed"
     (pair, x), t = (model.ply_pairs[0][0], result.states[-1].x), law.thickness
@@ -725,8 +725,8 @@ def test_plies_without_friction_slide_by_the_difference_of_their_exact_nets():
     apart = lower - np.vecdot(lower, upper)[:, None] * upper
     expected = radii[1] * np.linalg.norm(apart, axis=1)
     on_punch = next(c for c in model.contacts if c.tool.name == "punch").penetration(x) > 0
-    assert on_punch.sum() > 30
-    assert expected[on_punch].max() > 0.7
+    assert on_punch.sum() > 20
+    assert expected[on_punch].max() > 0.35
     assert_allclose(pair.slid(model.x0, x)[on_punch], expected[on_punch], rtol=0, atol=0.1)
 
 
