@@ -1,5 +1,6 @@
 """Stacks of plies: the energy between two plies, exact cases, scenes, refusals and results."""
 
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -11,8 +12,9 @@ from scipy.interpolate import RegularGridInterpolator
 
 import quasiform as qf
 from quasiform import theory
+from quasiform.console import terminal
 from quasiform.console.cli import main
-from quasiform.draw import view
+from quasiform.draw import plot, view
 from quasiform.energy.bending import Bending
 from quasiform.energy.contact import Contact
 from quasiform.energy.friction import STICK
@@ -22,6 +24,7 @@ from quasiform.energy.stitches import Stitches
 from quasiform.energy.weight import GRAVITY, SheetWeight, ToolWeight
 from quasiform.recipe import Recipe
 from quasiform.result.assumed import assumed
+from quasiform.result.certificate import _not_reported
 from quasiform.result.measures import max_ply_penetration
 from quasiform.result.plies import between_plies
 from quasiform.result.record import Record
@@ -29,6 +32,7 @@ from quasiform.result.sheet import FormedSheet
 from quasiform.scenes.fabric_tests import hanging_strip
 from quasiform.scenes.stack import joined
 from quasiform.solve.tangent import Tangent
+from quasiform.studies.run import _row
 from quasiform.tools.shapes import Plane, flipped
 from quasiform.unknowns import Unknowns
 
@@ -652,13 +656,48 @@ def test_a_stack_with_slits_is_stopped_continued_and_shown(tmp_path, capsys):
     assert "slip between plies 1 and 2" in page
 
 
-def test_the_locking_angle_is_that_of_the_fabric_of_each_ply(tmp_path):
-    other = replace(FABRIC, shear=replace(FABRIC.shear, I_lo=0.5))
-    result = qf.solve(stacked([0, {"fabric": other}], 31.0, 1.0), estimate=False)
-    result.save(tmp_path / "out", pictures=False)
-    for record in (result.record, Record.read(tmp_path / "out")):
-        angles = [ply.locking for ply in record.plies]
-        assert angles == pytest.approx([np.degrees(np.arcsin(FABRIC.shear.I_lo)), 30.0])
+@pytest.fixture(scope="module")
+def unlike():
+    """Two plies, the lower one of another fabric: thinner, tested and locking at small angles."""
+    shear = replace(FABRIC.shear, I_lo=0.02)  # sin 1.146°
+    other = replace(FABRIC, name="lower", shear=shear, shear_range=0.5, thickness=0.5)
+    return qf.solve(stacked([0, {"fabric": other}], 31.0, 20.0), estimate=False)
+
+
+def test_numbers_of_a_fabric_are_those_of_each_ply(unlike, tmp_path):
+    unlike.save(tmp_path / "out", pictures=False)
+    first = np.degrees(np.arcsin(FABRIC.shear.I_lo))
+    for record in (unlike.record, Record.read(tmp_path / "out")):
+        assert [ply.locking for ply in record.plies] == pytest.approx([first, 1.146], abs=1e-3)
+        beyond = [ply.summary["doubtful_share"]["beyond_identified_range"] for ply in record.plies]
+        assert beyond[0] == 0.0 < beyond[1]
+        assert record.plies[1].summary["doubtful_share"] == {
+            name: pytest.approx(float(flag @ areas / areas.sum()))
+            for sheet in [record.plies[1].sheet]
+            for areas in [sheet.flat_areas]
+            for name, flag in sheet.doubts().items()
+        }
+        _, words, _ = plot.limits_of(record.of_ply(0))["beyond_identified_range"]
+        assert words == f"beyond 0.5° or {FABRIC.shear_range:g}°: not tested"
+        assert plot.limits_of(record)["beyond_identified_range"][1].startswith("beyond 5")
+    # an error counts by the thickness of the ply, or of the thinner one of two
+    names = ["draw_in_+x_mm", "ply_2_draw_in_+x_mm", "slip_1_2_mm"]
+    assert [_not_reported(unlike.model, name) for name in names] == pytest.approx(
+        [0.1 * T0, 0.05, 0.05]
+    )
+
+
+def test_what_is_said_of_a_stack_is_of_all_plies(unlike, monkeypatch):
+    assert f"fabric: {FABRIC.name}, lower\n" in terminal.describe(unlike.model)
+    said = terminal.report(unlike, 1.0)
+    assert re.search(r"doubtful +beyond identified range \d+% of the area of ply 2\n", said)
+    # the lower ply alone has locked, then it alone has waves
+    assert _row(unlike)["locked"]
+    for ply in unlike.plies:
+        monkeypatch.setattr("quasiform.studies.run.wrinkled", lambda one, ply=ply: one is ply)
+        assert _row(unlike)["wrinkled"]
+    monkeypatch.setattr("quasiform.studies.run.wrinkled", lambda one: False)
+    assert not _row(unlike)["wrinkled"]
 
 
 def test_no_sensitivities_of_a_stack(formed):

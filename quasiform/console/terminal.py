@@ -94,7 +94,7 @@ def describe(model: Model) -> str:
             f"{(~model.fixed).sum()} dofs, travel {model.travel:g}"
             + " mm"
             * (model.force_name == "force_N"),
-            f"  fabric: {model.sheet.fabric.name}",
+            f"  fabric: {', '.join(dict.fromkeys(p.sheet.fabric.name for p in model.plies))}",
             *(f"  {entry}: {why}" for entry, why in model.description),
         ]
     )
@@ -183,10 +183,13 @@ def _errors(result: Result, summary: Mapping[str, Any], asked: bool) -> dict[str
     elif (summary["error_estimate"]["shear_angle_deg"] or 0.0) > WIDE:
         finer = "--accuracy 1 or a smaller" if result.model.contacts else "a smaller"
         rows["error estimate"] = f"large: {finer} --size reduces it"
-    doubtful = {k: v for k, v in summary["doubtful_share"].items() if v >= 0.005}
+    doubtful = []
+    for k, ply in enumerate(summary.get("plies") or [summary], 1):
+        shares = {name: share for name, share in ply["doubtful_share"].items() if share >= 0.005}
+        words = ", ".join(f"{name.replace('_', ' ')} {share:.0%}" for name, share in shares.items())
+        doubtful += [f"{words} of the area{f' of ply {k}' * ('plies' in summary)}"] * bool(shares)
     if doubtful:
-        shares = (f"{name.replace('_', ' ')} {share:.0%}" for name, share in doubtful.items())
-        rows["doubtful"] = f"{', '.join(shares)} of the area"
+        rows["doubtful"] = "; ".join(doubtful)
     if summary["collapse"]:
         rows["collapse"] = (
             "from {travel_mm:.4g} mm on, first at X = ({at[0]:.1f}, {at[1]:.1f}) mm, "

@@ -75,7 +75,7 @@ DOUBTS = {  # colour, meaning and advice; later ones lie over earlier ones
     ),
     "beyond_identified_range": (
         "#fdae61",
-        "beyond {range:g}°: not tested",
+        "beyond {range}°: not tested",
         "do not use these angles; test the fabric to larger ones",
     ),
     "narrow_bands": (
@@ -206,7 +206,9 @@ def gap_figure(run: Record) -> Figure:
 
 def limits_of(run: Record) -> dict[str, tuple[str, str, str]]:
     """Colour, meaning and advice of each of the limits of the shear angle."""
-    numbers = {"range": run.fabric.get("shear_range", np.nan), "slip": SLIP_GRADIENT}
+    shown = run.plies if run.ply == 0 else [run]
+    ranges = sorted({ply.fabric.get("shear_range", np.nan) for ply in shown})
+    numbers = {"range": "° or ".join(f"{angle:g}" for angle in ranges), "slip": SLIP_GRADIENT}
     return {
         reason: (colour, words.format(**numbers), advice)
         for reason, (colour, words, advice) in DOUBTS.items()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -254,7 +255,11 @@ def small(model: Model, quantity: str, value: float) -> float:
 
 def _not_reported(model: Model, quantity: str) -> float:
     """Error of a quantity, in its unit, below which it is not reported."""
-    units = {"deg": 1.0, "mm": model.sheets[0].fabric.thickness, "N": model.resting / model.share}
+    # of ply_2_draw_in_+x_mm or slip_1_2_mm the plies that are named, else the first
+    named = re.match(r"ply_(\d+)_|slip_(\d+)_(\d+)_", quantity)
+    numbers = [int(k) for k in named.groups() if k] if named else [1]
+    thickness = min(model.sheets[k - 1].fabric.thickness for k in numbers)
+    units = {"deg": 1.0, "mm": thickness, "N": model.resting / model.share}
     unit = quantity.rpartition("_")[2]
     return SMALL.get(unit, 0.0) * units.get(unit, 0.0)
 

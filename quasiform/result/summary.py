@@ -75,10 +75,7 @@ def summarise(result: Outcome, certificate: Certificate) -> dict[str, Any]:
         "certified": certificate.certified,
         "certificate": {"converged": certificate.converged, "reasons": certificate.reasons},
         "trust": trust(result),
-        "doubtful_share": {
-            reason: float(areas @ flag / areas.sum()) for reason, flag in sheet.doubts().items()
-        },
-        "local_stability": local_waves(result.first, result.states[-1].x)[1],
+        **_doubtful(result),
     }
     if model.slip:
         state = result.memory[model.terms.index(model.slip)]
@@ -114,6 +111,17 @@ def _fibre_strain(sheet: FormedSheet) -> float:
     return float(np.sqrt(2.0 * strain + 1.0) - 1.0)
 
 
+def _doubtful(ply: Outcome) -> dict[str, Any]:
+    """Where not to trust the shear angle of a ply, as shares of its area."""
+    sheet, areas = ply.sheet, ply.sheet.flat_areas
+    return {
+        "doubtful_share": {
+            reason: float(areas @ flag / areas.sum()) for reason, flag in sheet.doubts().items()
+        },
+        "local_stability": local_waves(ply.first, ply.states[-1].x)[1],
+    }
+
+
 def _of_ply(ply: Outcome) -> dict[str, Any]:
     """Key numbers of one ply of a stack."""
     sheet = ply.model.sheet
@@ -127,6 +135,7 @@ def _of_ply(ply: Outcome) -> dict[str, Any]:
         "draw_in_mm": ply.draw_in,
         "areas": ply.areas,
         "wrinkles": ply.wrinkles,
+        **_doubtful(ply),
     }
 
 

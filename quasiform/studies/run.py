@@ -120,12 +120,13 @@ def outcome(
 def _row(result: Result) -> dict[str, Any]:
     """What the tables of a study need of a result."""
     record = result.record
-    angle, travel = record.summary["shear_angle_deg"]["p99"], record.history[record.travel_name]
+    travel = record.history[record.travel_name]
+    angles = [(ply.summary["shear_angle_deg"]["p99"], ply.locking) for ply in record.plies]
     return {
         "summary": {k: v for k, v in record.summary.items() if k not in LONG},
         "energy_mJ": result.energy,
-        "wrinkled": wrinkled(result),
-        "locked": bool(record.locking and angle > record.locking),
+        "wrinkled": any(map(wrinkled, result.plies)),
+        "locked": any(bool(locking) and angle > locking for angle, locking in angles),
         "history": [travel.tolist(), record.forces.tolist()],
     }
 
