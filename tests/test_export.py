@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 
 import meshio
 import numpy as np
@@ -909,8 +910,8 @@ def test_deck_takes_a_tool_from_a_file_as_it_is(tmp_path):
     np.testing.assert_allclose(0.5 * (x.min(0) + x.max(0))[:2], [3.0, 0.0], atol=0.1)
     np.testing.assert_allclose(nodes[reference][:2], [2.0, 1.0])
     # in a model whose x axis is turned by 30° from the user's, the tool is turned back
-    tool = scene.contacts[0].tool
-    turned_back, _ = from_file(tool, scene.recipe.get("file"), 30.0)
+    sheets = [replace(scene.sheet, turn=30.0)]
+    turned_back, _ = from_file(scene.contacts[0].tool, replace(scene, sheets=sheets))
     c, s = np.cos(np.radians(30)), np.sin(np.radians(30))
     np.testing.assert_allclose(turned_back[:, 0], c * x[:, 0] + s * x[:, 1], atol=1e-6)
     np.testing.assert_allclose(turned_back[:, 1], c * x[:, 1] - s * x[:, 0], atol=1e-6)
@@ -920,6 +921,21 @@ def test_deck_takes_a_tool_from_a_file_as_it_is(tmp_path):
     _, nodes, _, nsets = read_deck(tmp_path / "half.inp")
     smaller = np.array([nodes[i] for i in sorted(nsets["T_PUNCH_NODES"])])
     np.testing.assert_allclose(np.ptp(smaller, axis=0), 0.5 * np.ptp(x, axis=0), atol=1e-3)
+    # what is meant is what the model has read, and moved
+    moved = qf.forming(str(tmp_path / "part.toml"), size=20, overrides={"tools.punch.offset": 3.0})
+    (tmp_path / "ball.stl").unlink()
+    abaqus_deck(scene, tmp_path / "again.inp", spacing=15.0)
+    again, half = (read_deck(tmp_path / f"{name}.inp")[1] for name in ("again", "half"))
+    assert again == half
+    notices = abaqus_deck(moved, tmp_path / "moved.inp", spacing=4.0)
+    assert any("the punch is" in notice and "sampled" in notice for notice in notices)
+    _, nodes, _, nsets = read_deck(tmp_path / "moved.inp")
+    (reference,) = nsets["T_PUNCH_REF"]
+    inner = np.array([nodes[i] for i in sorted(nsets["T_PUNCH_NODES"])]) - nodes[reference]
+    far = np.linalg.norm(inner - [3.0, 0.0, 0.0], axis=1)[inner[:, 2] < -1.0]
+    assert len(far) > 50
+    assert far.min() > 27.0 - 0.7  # facets 8 mm wide on 30 mm
+    assert far.max() < 27.0 + 0.01
 
 
 def test_what_a_deck_cannot_hold_is_told(tmp_path):

@@ -230,7 +230,7 @@ def _triangles(
 ) -> tuple[FloatArray, np.ndarray, tuple[float, ...]]:
     """Vertices and triangles of a tool in its own frame, and how it was sampled (`_Rigid`)."""
     tool, origin = contact.tool, contact.origin(model.x0)
-    given = from_file(tool, model.recipe and model.recipe.get("file"), model.sheet.turn)
+    given = from_file(tool, model)
     if given is not None:
         return *given, ()
     deep = model.travel if model.travel_name == "travel_mm" else np.ptp(places, axis=0).max()

@@ -1,23 +1,20 @@
 """Triangles of a rigid tool, where the sheet can be.
 
-A tool from a file gives its own triangles. A closed form d is sampled: marching cubes (libigl) on
-a grid of spacing h find d = 0, steps of -d ∇d bring the vertices onto it, and slivers that turn
-over are collapsed. Only the chords of the triangles, up to about √2 h long, are off: h²/(4 r) on a
-radius r.
+A tool from a file gives its own triangles, those of the file. A closed form d, or that of a file
+with an offset, is sampled: marching cubes (libigl) on a grid of spacing h find d = 0, steps of
+-d ∇d bring the vertices onto it, and slivers that turn over are collapsed. Only the chords of the
+triangles, up to about √2 h long, are off: h²/(4 r) on a radius r.
 """
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from ..checks import InputError, optional
+from ..model import Model
 from ..net.blank import rotation
-from ..scenes.scene_parts import SceneFile
 from ..tools.mending import normals_of
 from ..tools.shapes import Shape, Tool
-from ..tools.surface_file import SurfaceFile
 
 FloatArray = np.ndarray
 MOST_NODES = 2_000_000
@@ -82,17 +79,17 @@ def sampled(
     return vertices[used], triangles.reshape(-1, 3), spacing, float(off)
 
 
-def from_file(tool: Tool, file: SceneFile | None, turn: float) -> Any:
-    """Vertices and triangles of a tool that a scene takes from a surface, or None.
+def from_file(tool: Tool, model: Model) -> tuple[FloatArray, np.ndarray] | None:
+    """Vertices and triangles of a tool that the model has read from a file, in its axes.
 
-    They are in the model's axes, `turn` degrees from the user's.
+    None for another tool, and for one whose surface is moved by an offset: its triangles are not
+    those of the file.
     """
-    for part in file.tools if file else ():
-        if part.name == tool.name and isinstance(part.shape, SurfaceFile):
-            vertices, triangles, _ = part.shape.placed()
-            vertices[:, :2] = vertices[:, :2] @ rotation(turn)
-            return vertices, triangles
-    return None
+    read = model.tools[1].get(tool.name) if model.tools else None
+    if read is None or read.file.offset:
+        return None
+    turned = read.vertices[:, :2] @ rotation(model.sheet.turn)
+    return np.column_stack([turned, read.vertices[:, 2]]), read.triangles
 
 
 def _without_collapsed(triangles: np.ndarray) -> np.ndarray:
