@@ -7,7 +7,8 @@ import shutil
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Any
 
 import meshio
 import numpy as np
@@ -16,13 +17,17 @@ import pytest
 import quasiform as qf
 from quasiform.checks import InputError
 from quasiform.console.cli import main
+from quasiform.draw.overlay import tool_cuts
+from quasiform.draw.plot import sheet_figure
 from quasiform.fabric import TabulatedLaw
 from quasiform.handover import FORMATS, abaqus_deck, carry, export, flat_pattern, read_formed
 from quasiform.handover.handover import FILES
 from quasiform.handover.inp import moduli
 from quasiform.handover.tool_surface import from_file, sampled
 from quasiform.meshes.shells import read_shells
+from quasiform.recipe import Recipe
 from quasiform.result.files import FILES as RESULT_FILES
+from quasiform.result.record import Record
 from quasiform.scenes.scene_file import FOLDER, load
 from quasiform.tools.shapes import ball, round_opening, turned
 
@@ -1140,10 +1145,54 @@ def test_the_command_prints_what_is_of_this_part_alone(tmp_path, capsys, to):
     assert said.count("  note: ") + general == told.count("\n- ")
 
 
-def test_the_opening_of_the_die_is_that_of_the_run_in_memory():
-    scene = qf.forming(size=31, travel=1.0, overrides={"tools.die.radius": 90.0})
-    (line,) = flat_pattern(qf.solve(scene, estimate=False), "die").trim
-    assert np.abs(np.linalg.norm(line, axis=1) - 90.0).max() < 0.5
+def wide(size, like):
+    """A scene that was made in Python, by a recipe of its own."""
+    return qf.forming(size=size, travel=1.0, overrides={"tools.die.radius": 90.0})
+
+
+@dataclass(frozen=True)
+class Own:
+    """A shape of the user's own, which no file can hold."""
+
+    shape: Any
+
+    def __getattr__(self, name):
+        return getattr(object.__getattribute__(self, "shape"), name)
+
+
+def own_punch(size):
+    file = load("hemisphere", {"tools.die.radius": 90.0})
+    punch, *others = file.tools
+    punch = replace(punch, geometry=Own(punch.shape))
+    return qf.forming(replace(file, tools=(punch, *others)), size=size, travel=1.0)
+
+
+@pytest.mark.parametrize("made", ["overrides", "recipe", "own shape"])
+def test_the_opening_of_the_die_is_that_of_the_run(tmp_path, made):
+    scene = {
+        "overrides": lambda: wide(31, None),
+        "recipe": lambda: Recipe(wide, (), 31).build(),
+        "own shape": lambda: own_punch(31),
+    }[made]()
+    result = qf.solve(scene, estimate=False)
+    result.save(tmp_path / "out", pictures=False)
+    assert result.record.areas.keys() == {"green", "blue", "pink"}
+    sources = [result, tmp_path / "out"]
+    if not (tmp_path / "out" / "scene.toml").exists():
+        # the built-in scene of the same name is another one: 80 mm
+        sources.remove(tmp_path / "out")
+        with pytest.raises(InputError, match=r"no scene\.toml, so its scene is not known"):
+            flat_pattern(tmp_path / "out", "die")
+        saved = Record.read(tmp_path / "out")
+        assert saved.areas == {}
+        cuts, why = tool_cuts(saved)
+        assert not cuts
+        assert "its scene is not known" in why
+        sheet_figure(saved)  # without the rings of the areas
+    assert (len(sources) == 2) == (made == "overrides")
+    for source in sources:
+        (line,) = flat_pattern(source, "die").trim
+        assert np.abs(np.linalg.norm(line, axis=1) - 90.0).max() < 0.5
 
 
 @pytest.mark.parametrize("where", ["recorded", "beside", "moved away"])

@@ -591,6 +591,8 @@ def _draw_areas(axes: Axes, run: Record) -> list[Line2D]:
     rims.append(Normal())
     rings = []
     for name, mean in (run.summary.get("areas") or {}).items():
+        if name not in run.areas:  # its scene is not known
+            continue
         centre, radius = run.areas[name]
         ring = formed_places(run.sheet, centre + radius * circle)
         colour = name if is_color_like(name) else RINGS[len(rings) % len(RINGS)]

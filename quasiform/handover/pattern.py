@@ -134,7 +134,8 @@ def flat_pattern(
         lines = edges
     elif isinstance(trim, str) and trim == "die":
         lines = _seen(sheet, _opening(record), notices)
-        notices.append(f"the die's opening is that of the scene '{Path(record.scene).name}'")
+        scene = "the run" if record.model else f"the scene '{Path(record.scene).name}'"
+        notices.append(f"the die's opening is that of {scene}")
     else:
         lines = []
         for curve in curves(trim, scale):
@@ -274,10 +275,12 @@ def _opening(record: Record) -> shapely.Polygon:
     name = record.parameters.get("scene")
     if not isinstance(name, str):
         raise InputError("the result is of no forming scene: give the trim line by its points")
-    recipe = record.model and record.model.recipe
-    file = recipe.get("file") if recipe else scene_file.load(record.scene)
-    for tool in file.tools:
-        if tool.role == "die" and isinstance(tool.shape, Opening):
+    if record.model is not None:  # as it was built
+        dies = [tool for tool in (record.model.tools or [()])[0] if tool.motion != "free"]
+    else:
+        dies = [tool for tool in scene_file.load(record.scene).tools if tool.role == "die"]
+    for tool in dies:
+        if isinstance(tool.shape, Opening):
             hole = tool.shape.hole
             core = shapely.MultiPoint(hole.core[:, :2]).convex_hull
             section = shapely.buffer(core, hole.radius, quad_segs=90)
