@@ -41,6 +41,7 @@ from quasiform.console.cli import main
 from quasiform.fabric import Fabric
 from quasiform.result.files import FILES
 from quasiform.scenes.scene_file import FOLDER, json_schema, load, scene_toml
+from quasiform.scenes.scene_parts import SYMMETRIES
 
 SECONDS = 20.0  # of a case on the processor, and four times that on the clock
 HARD = 200.0  # of a case that does not come back from compiled code
@@ -562,7 +563,7 @@ def extreme(low, high):
     fillet=extreme(0.5, 20.0),
     friction=extreme(1e-6, 10.0) | st.just(0.0),
     orientation=st.sampled_from([0.0, 30.0, 45.0, -1e-9, 1e6]),
-    symmetry=st.sampled_from(["auto", "none"]),
+    symmetry=st.sampled_from(SYMMETRIES),
     gravity=st.booleans(),
     rows=extreme(0.1, 100.0),
     law=st.sampled_from(["locking", "best-fit"]),

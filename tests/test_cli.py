@@ -265,6 +265,7 @@ def test_a_model_too_large_for_the_memory_is_refused(capsys, monkeypatch):
             ["tetrahedron-45: ", "the whole blank: no plane along the fibres mirrors it"],
         ),
         ([*FORM, "--symmetry", "none"], ["81 nodes, 128 triangles", "symmetry is switched off"]),
+        ([*FORM, "--symmetry", "half"], ["45 nodes, 64 triangles", "a half: "]),
         ([*FORM, "--law", "best-fit"], ["fabric: MD600 best-fit"]),
     ],
 )

@@ -6,6 +6,7 @@ import sys
 import tomllib
 from dataclasses import fields, replace
 from pathlib import Path
+from typing import get_args, get_type_hints
 
 import jsonschema
 import numpy as np
@@ -15,6 +16,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import quasiform
 from quasiform.checks import InputError
+from quasiform.console import cli
 from quasiform.scenes.scene_file import (
     FOLDER,
     Gripper,
@@ -28,6 +30,7 @@ from quasiform.scenes.scene_file import (
     load,
     scene_toml,
 )
+from quasiform.scenes.scene_parts import SYMMETRIES
 from quasiform.schema import STANDINGS
 from quasiform.tools.part import SHAPES
 from quasiform.tools.shapes import (
@@ -508,6 +511,14 @@ def test_the_json_schema_says_units_and_defaults():
     schema = json_schema()
     assert schema["properties"]["travel"]["description"].endswith("; mm")
     assert schema["properties"]["symmetry"]["default"] == "auto"
+    # the same words as the option and the argument
+    assert tuple(schema["properties"]["symmetry"]["enum"]) == SYMMETRIES
+    option, _ = get_args(get_type_hints(cli.Scene)["symmetry"])
+    assert get_args(option) == SYMMETRIES
+    for word in SYMMETRIES:
+        assert quasiform.forming(size=31, symmetry=word).parameters["symmetry"] == word
+    with pytest.raises(InputError, match="symmetry must be 'auto', 'half' or 'none', got 'all'"):
+        quasiform.forming(size=31, symmetry="all")
     punch = schema["$defs"]["round_punch"]
     assert punch["properties"]["mass"]["description"].endswith("; kg")
     assert set(punch["required"]) == {"shape", "radius"}

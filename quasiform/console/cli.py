@@ -315,7 +315,7 @@ class Scene:
     of the scene, or 5, or finer where a fillet needs it."""
     travel: Annotated[Length | None, about("Travel of the punch.")] = None
     symmetry: Literal["auto", "half", "none"] | None = None
-    """Model a half or a quarter where everything is mirrored (auto), or always the whole."""
+    """Mirror planes that are used: all there are (a half or a quarter), at most one, or none."""
     set: Overrides | None = None
     """Another value of a key of the scene, such as tools.holder.mass=8 or fabric.friction=0.2."""
 

@@ -43,6 +43,7 @@ from .loads import FORCE, PRESSURE, drive_tool, force_over_travel, pressure_on_s
 from .mechanics import check_mechanics
 from .room import check_clearance, mirror_planes, smallest_radius, what_resolves
 from .scene_file import SceneFile, SurfaceFile, ToolPart, check_increments
+from .scene_parts import SYMMETRIES
 from .slipping import let_slip
 from .stack import Layer
 from .supports import fix_supports, grips, keep_middles
@@ -118,8 +119,9 @@ def forming(
     if not isinstance(orientation, Real) or not np.isfinite(orientation):
         raise InputError(f"orientation must be a number of degrees, got {orientation!r}")
     symmetry = symmetry or file.symmetry
-    if symmetry not in ("auto", "half", "none"):
-        raise InputError(f"symmetry must be 'auto', 'half' or 'none', got {symmetry!r}")
+    if symmetry not in SYMMETRIES:
+        *others, last = map(repr, SYMMETRIES)
+        raise InputError(f"symmetry must be {', '.join(others)} or {last}, got {symmetry!r}")
     goal = file.travel if travel is None else float(check_number("travel", travel))
     if goal > file.travel:
         raise InputError(

@@ -44,6 +44,7 @@ from .scene_parts import (
     MOTIONS,
     OUTWARDS,
     REGION,
+    SYMMETRIES,
     ElasticSheet,
     Gripper,
     Ply,
@@ -469,7 +470,7 @@ class Scene(Table):
     fabric: Annotated[dict[str, Any], Field(description="Keys that replace those of `law`")] = OPEN
     gravity: _flag("Whether the sheet's own weight acts") = False
     pressure: number("On the upper face; a number rises from 0", "MPa", zero=True, over="mm") = OPEN
-    symmetry: _word("Whether mirror planes are used", "auto", "half", "none") = "auto"
+    symmetry: _word("Mirror planes that are used: all, at most one, none", *SYMMETRIES) = "auto"
     blank: _union(_Blank, REGION, LARGEST, _blank, _OWN_MESH)
     tools: dict[str, _union(_Tool, SHAPES, FAR_OFF, _part, _FROM_FILE)]
     supports: list[Annotated[_Support, AfterValidator(_support)]] = []  # noqa: RUF012

@@ -27,6 +27,7 @@ REGION: dict[str, tuple[Callable[..., shapely.Polygon], tuple[str, ...]]] = {
 }
 MOST_STITCHES = 10_000  # of a line
 OUTWARDS = {"+x": (1.0, 0.0), "-x": (-1.0, 0.0), "+y": (0.0, 1.0), "-y": (0.0, -1.0)}
+SYMMETRIES = ("auto", "half", "none")  # mirror planes that are used: all, at most one, none
 MOTIONS = {"punch": "driven", "die": "fixed", "holder": "free"}
 
 
@@ -247,7 +248,7 @@ class SceneFile:
     plies: tuple[Ply, ...] = ()  # from the punch down; none: one sheet
     diaphragm: ElasticSheet | None = None
     areas: Mapping[str, tuple[Point, float]] = field(default_factory=dict, hash=False)  # discs, mm
-    symmetry: str = "auto"  # or "none"
+    symmetry: str = "auto"  # one of SYMMETRIES
     increment: float | None = None  # largest increment of the travel, mm; None: `usual_length`
     rows: float | None = None  # distance of the rows of the history, mm
     outputs: Mapping[str, bool] = field(
