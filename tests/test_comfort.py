@@ -21,6 +21,7 @@ from quasiform.console.progress import _words
 from quasiform.fabric import PRESETS
 from quasiform.handover import fibres, handover
 from quasiform.identification import campaign, fit
+from quasiform.result import certificate
 from quasiform.result.record import Record
 from quasiform.result.summary import package_version
 from quasiform.scenes import scene_file
@@ -145,6 +146,20 @@ def test_lines_to_cut(monkeypatch, capsys, lines, words):
     monkeypatch.setattr(qf, "flat_pattern", lambda *given, **named: pattern)
     assert main(["export", "x", "--trim", "edge", "--out", "out"]) == 0
     assert f"\npart: {words}, 2 mm² inside\n" in capsys.readouterr().out
+
+
+# What a dry run warns of
+
+
+@pytest.mark.parametrize(("share", "coarse"), [(0.505, False), (0.515, True)])
+def test_a_dry_run_warns_where_the_certificate_refuses(monkeypatch, share, coarse):
+    result = qf.solve(qf.forming(size=31, travel=1.0), estimate=False)
+    radius = result.blank.size / share
+    monkeypatch.setattr(certificate, "bent_radius", lambda *given: radius)
+    said = [reason for reason in certificate.certify(result).reasons if "too coarse" in reason]
+    model = replace(result.model, coarsest=forecast.RESOLVES * radius)
+    warned = [words for words in forecast.limits(model, {"increment": None}) if "coarse" in words]
+    assert (len(said), len(warned)) == (coarse, coarse)
 
 
 # Expected time

@@ -16,7 +16,7 @@ import numpy as np
 
 from ..checks import InputError
 from ..model import Model
-from ..result.certificate import FINE, too_long
+from ..result.certificate import too_coarse, too_long
 from ..scenes.forming import FINE as RESOLVES
 from ..solve import levels
 from ..solve.dependence import COARSER, FINER
@@ -94,9 +94,10 @@ def words(found: tuple[Mesh, ...] | None) -> str:
 def limits(model: Model, options: Mapping[str, Any]) -> list[str]:
     """What will keep a run from a certificate, as far as it is known before."""
     found, radius = [], model.coarsest / RESOLVES
-    if 0 < radius and model.size > FINE * radius:
+    size = max(sheet.blank.size for sheet in model.sheets)
+    if 0 < radius and too_coarse(size, radius):
         found.append(
-            f"a mesh of {model.size:.3g} mm is too coarse for the smallest radius of the tools, "
+            f"a mesh of {size:.3g} mm is too coarse for the smallest radius of the tools, "
             f"{radius:.3g} mm, if the sheet bends over it: half of it is allowed"
         )
     return [*found, *filter(None, [too_long(model, options["increment"])])]

@@ -128,7 +128,7 @@ def certify(result: Outcome) -> Certificate:
             chord > CHORD * thickness
         ),
         f"a mesh of {size:.3g} mm is too coarse for the radius of {radius:.1f} mm that the sheet "
-        "bends over, half of it allowed": size > FINE * radius,
+        "bends over, half of it allowed": too_coarse(size, radius),
         f"collapsed from {collapse} mm on": bool(collapse),
         folded: bool(folded),
         steps: bool(steps),
@@ -152,6 +152,11 @@ def too_long(model: Model, increment: float | None) -> str:
     if not increment or not model.frictions or increment <= own * (1 + 1e-6):
         return ""
     return f"friction follows its path in increments of {own:g} mm, not {increment:g}"
+
+
+def too_coarse(size: float, radius: float) -> bool:
+    """Whether a mesh of a size is too coarse for a radius that the sheet bends over, mm."""
+    return size > FINE * radius
 
 
 def _scattered(spread: Mapping[str, Mapping[str, Any]]) -> list[str]:
