@@ -123,16 +123,13 @@ class Record:
     def scene(self) -> str:
         """Name or file of its scene, wherever the working folder is.
 
-        That is the scene in its folder. InputError where that has none: a file cannot hold a tool
-        of the user's own shape, and another scene may have the same name. Versions before 0.2 wrote
-        none; theirs is looked for where it was when the run was made, then where it was named from:
-        beside the run's folder and in it (they may have moved together), and from here. InputError
-        if it is nowhere.
+        That is the scene in its folder; InputError where that has none. Versions before 0.2 wrote
+        none; theirs is looked for where it was when the run was made, then beside the run's folder,
+        in it, and from here.
         """
         if self.folder is not None and (self.folder / SCENE).is_file():
             return str(self.folder / SCENE)
-        first = str(self.summary.get("version", "0.1")).startswith("0.1")
-        if self.folder is not None and not first:
+        if self.folder and not str(self.summary.get("version", "0.1")).startswith("0.1"):
             raise InputError(f"{self.folder}: no {SCENE}, so its scene is not known")
         given, recorded = str(self.parameters["scene"]), self.parameters.get("scene_file")
         if self.folder is None or not given.endswith(".toml"):
