@@ -56,10 +56,6 @@ class Recipe:
         model.built = fingerprint(model)
         return model
 
-    def get(self, name: str) -> Any:
-        """What was given under a name; None for nothing."""
-        return dict(self.given).get(name)
-
     def including(self, change: Change) -> Recipe:
         """Return the recipe with one more change."""
         return replace(self, changes=(*self.changes, change))

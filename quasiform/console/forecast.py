@@ -100,7 +100,9 @@ def limits(model: Model, options: Mapping[str, Any]) -> list[str]:
             f"a mesh of {size:.3g} mm is too coarse for the smallest radius of the tools, "
             f"{radius:.3g} mm, if the sheet bends over it: half of it is allowed"
         )
-    return [*found, *filter(None, [too_long(model, options["increment"])])]
+    if longer := too_long(model, options["increment"]):
+        found.append(longer)
+    return found
 
 
 def asked(model: Model, options: Mapping[str, Any]) -> tuple[Mesh, ...] | None:

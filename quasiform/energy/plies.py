@@ -420,7 +420,7 @@ def slip_between(start: FloatArray, pair: Sequence[PlyContact], x: FloatArray) -
 
 
 def folds(sheets: Iterable[Sheet], x: FloatArray) -> str:
-    """Which sheet folds on itself at x, in words; empty if none does."""
+    """Message that names a sheet that folds on itself at x; empty if none does."""
     for sheet in sheets:
         if sheet.dim == 3 and folds_on_itself(sheet, x):
             return f"the {sheet.name} folds on itself, and self-contact is not modelled"
